@@ -1,0 +1,70 @@
+!> What C and Python see: plain arrays, one procedure a task. f2py reads their shapes from _core.pyf.
+module granumat_bindings
+  use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
+  use granumat_batch, only: update_batch
+  use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
+    constant_name, CLOSED, LOWER, N_CONSTANTS, NAME_LENGTH, UPPER
+  use granumat_path, only: follow_path
+  use granumat_state, only: material_state
+  use granumat_status, only: status_message, MESSAGE_LENGTH
+  implicit none (type, external)
+  private
+
+contains
+
+  subroutine core_parameters(mu, closure, contact, calibration, par) bind(c)
+    real(c_double), value, intent(in) :: mu
+    integer(c_int), value, intent(in) :: closure, contact, calibration
+    type(material_parameters), intent(out) :: par
+    par = parameters_from_friction(mu, closure, contact, calibration)
+  end subroutine core_parameters
+
+  !> After an override: which constants are faulty (1), and chi ... fabric_limit anew if none is.
+  subroutine core_complete(par, constants, faulty) bind(c)
+    type(material_parameters), intent(inout) :: par
+    real(c_double), intent(in) :: constants(N_CONSTANTS)      ! the first of par, as an array
+    integer(c_int), intent(out) :: faulty(N_CONSTANTS)
+    faulty = merge(1, 0, faulty_constants(constants))
+    if (all(faulty == 0)) call derive_constants(par)
+  end subroutine core_complete
+
+  subroutine core_range(i, name, lower_bound, upper_bound, closed_bounds) bind(c)
+    integer(c_int), value, intent(in) :: i                    ! 1 ... N_CONSTANTS
+    character(kind=c_char), intent(out) :: name(NAME_LENGTH)
+    real(c_double), intent(out) :: lower_bound, upper_bound
+    integer(c_int), intent(out) :: closed_bounds
+    name = transfer(constant_name(i), name)
+    lower_bound = LOWER(i)
+    upper_bound = UPPER(i)
+    closed_bounds = merge(1, 0, CLOSED(i))
+  end subroutine core_range
+
+  subroutine core_message(status, message) bind(c)
+    integer(c_int), value, intent(in) :: status
+    character(kind=c_char), intent(out) :: message(MESSAGE_LENGTH)
+    message = transfer(status_message(status), message)
+  end subroutine core_message
+
+  subroutine core_update(n, par, old, gradient, new, status) bind(c)
+    integer(c_int), value, intent(in) :: n
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: old(n)
+    real(c_double), intent(in) :: gradient(3, 3, n)
+    type(material_state), intent(out) :: new(n)
+    integer(c_int), intent(out) :: status(n)
+    call update_batch(par, old, gradient, new, status)
+  end subroutine core_update
+
+  subroutine core_path(n, m, par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status) bind(c)
+    integer(c_int), value, intent(in) :: n, m
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: start
+    real(c_double), intent(in) :: gradient(3, 3, n), mode(3, 3, m), functional(6, m), target(m, 0:n)
+    real(c_double), value, intent(in) :: tolerance
+    type(material_state), intent(out) :: states(n)
+    real(c_double), intent(out) :: amplitude(m, n)
+    integer(c_int), intent(out) :: done, status
+    call follow_path(par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
+  end subroutine core_path
+
+end module granumat_bindings

@@ -1,0 +1,133 @@
+!> The material constants: as functions of the interparticle friction coefficient, and what is allowed for each.
+!!
+!! Source of every number: J. Sun and S. Sundaresan, J. Fluid Mech. 682 (2011) 590-616, tables 1 and 2,
+!! doi:10.1017/jfm.2011.251. Departs from the paper: a2 = +0.1 mu (table 1 prints -0.1; its text says that shear raises p).
+module granumat_parameters
+  use, intrinsic :: iso_c_binding, only: c_double, c_int
+  use, intrinsic :: ieee_arithmetic, only: ieee_is_finite
+  use granumat_kinds, only: dp
+  implicit none (type, external)
+  private
+  public :: parameters_from_friction, derive_constants, faulty_constants, constant_name
+
+  !> The numbers of a material; the first N_CONSTANTS are the user's to override, the rest follows from them.
+  type, public, bind(c) :: material_parameters
+    real(c_double) :: mu              !! interparticle friction coefficient
+    real(c_double) :: a1, a2          !! pressure (4.2)
+    real(c_double) :: a3, a4          !! normal stress differences (A 1), (A 4)
+    real(c_double) :: b1, b2, b3      !! friction (4.5), (4.6)
+    real(c_double) :: Zc              !! critical coordination number
+    real(c_double) :: phic            !! critical volume fraction
+    real(c_double) :: c1, c2, c3      !! fabric (4.7)
+    real(c_double) :: d1, d2, d3      !! coordination number (4.8)
+    real(c_double) :: beta1, beta2    !! f(phi) (4.9)
+    real(c_double) :: g               !! isotropic compression (B 1); the paper prints no value
+    real(c_double) :: elastic_strain  !! e_r, strain over which the deviatoric stress relaxes; 0: the paper
+    real(c_double) :: chi, kappa, lambda   !! steady values (A 7)-(A 9)
+    real(c_double) :: fabric_limit    !! abs(A) below it decays in every flow; above it some flows blow it up
+    integer(c_int) :: closure, contact
+  end type material_parameters
+
+  integer, parameter, public :: CRITICAL = 0, BASIC = 1, N2 = 2, FULL = 3, KINEMATIC = 4      ! closures
+  integer, parameter, public :: HOOKEAN = 0, HERTZIAN = 1                                     ! contacts
+  integer, parameter, public :: TABLE_1 = 0, TEXT = 1, FIGURE_16 = 2                          ! calibrations
+
+  integer, parameter, public :: N_CONSTANTS = 20, NAME_LENGTH = 16
+
+  character(len=NAME_LENGTH), parameter :: NAMES(N_CONSTANTS) = [character(len=NAME_LENGTH) :: &
+    'mu', 'a1', 'a2', 'a3', 'a4', 'b1', 'b2', 'b3', 'Zc', 'phic', 'c1', 'c2', 'c3', 'd1', 'd2', 'd3', &
+    'beta1', 'beta2', 'g', 'elastic_strain']
+
+  ! A constant lies in (LOWER, UPPER), or equals a finite bound where the name's row below says "closed".
+  real(dp), parameter :: ANY = huge(1.0_dp)
+  real(dp), parameter, public :: LOWER(N_CONSTANTS) = [real(dp) :: &
+    0, 0, -ANY, -ANY, -ANY, -ANY, -ANY, -ANY, 0, 0, -ANY, -ANY, 0, -ANY, 0, -ANY, 0, 0, -ANY, 0]
+  real(dp), parameter, public :: UPPER(N_CONSTANTS) = [real(dp) :: &
+    1, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY, 1, 0, 0, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY]
+  logical, parameter, public :: CLOSED(N_CONSTANTS) = [.true., .false., .false., .false., .false., .false., .false., &
+    .false., .false., .false., .false., .true., .false., .false., .true., .false., .true., .false., .false., .true.]
+
+contains
+
+  !> The paper's constants for a friction coefficient; the closure sets those it does without to 0.
+  pure function parameters_from_friction(mu, closure, contact, calibration) result(par)
+    real(dp), intent(in) :: mu
+    integer, intent(in) :: closure, contact, calibration
+    type(material_parameters) :: par
+
+    par%mu = mu
+    par%a1 = 0.0073_dp
+    par%a2 = 0.1_dp * mu
+    par%a3 = fit(1.57_dp, -4.5_dp, -1.7_dp)
+    par%b1 = fit(-0.16_dp, -6.0_dp, 0.16_dp)
+    par%b2 = fit(1.6_dp, -6.0_dp, -2.9_dp)
+    par%b3 = 0
+    par%Zc = fit(1.85_dp, -5.0_dp, 4.15_dp)
+    par%phic = fit(0.058_dp, -5.0_dp, 0.582_dp)
+    par%c1 = -0.52_dp
+    par%c2 = -2.8_dp
+    par%c3 = 100
+    par%d1 = -45
+    par%d2 = 5.6_dp
+    par%d3 = -40
+    par%beta1 = 7.5_dp
+    par%beta2 = 0.5_dp
+    par%g = 0
+    par%elastic_strain = 0
+    par%closure = int(closure, c_int)
+    par%contact = int(contact, c_int)
+
+    select case (calibration)
+    case (TEXT)                                 ! the sentence about figure 16
+      par%a4 = fit(-6.5_dp, -2.0_dp, 6.5_dp)
+    case (FIGURE_16)                            ! its caption
+      par%a4 = fit(-3.7_dp, -1.2_dp, 4.0_dp)
+    case default                                ! table 1
+      par%a4 = fit(-6.0_dp, -2.0_dp, 6.0_dp)
+    end select
+    if (closure == BASIC) par%a3 = 0
+    if (closure == KINEMATIC) par%a4 = -2 * par%b2
+    if (closure < FULL) par%a4 = 0
+    call derive_constants(par)
+
+  contains
+
+    pure function fit(x1, x2, x3) result(constant)
+      real(dp), intent(in) :: x1, x2, x3
+      real(dp) :: constant
+      constant = x1 * exp(x2 * mu) + x3
+    end function fit
+
+  end function parameters_from_friction
+
+  !> Sets chi, kappa, lambda (A 7)-(A 9) and the fabric's limit from c1, c2, c3.
+  pure subroutine derive_constants(par)
+    type(material_parameters), intent(inout) :: par
+    real(dp) :: root
+
+    root = sqrt(par%c2**2 - 8 * par%c1 * par%c3)
+    par%chi = -(par%c2 + root) / (2 * par%c3)
+    par%kappa = sqrt(-par%c1 * par%chi / (2 * (par%c2 + par%c3 * par%chi)))
+    par%lambda = -par%c1 / (par%c2 + par%c3 * par%chi)
+    par%fabric_limit = (root - par%c2) / (4 * par%c3)
+  end subroutine derive_constants
+
+  !> Which constants are not finite or outside their range.
+  pure function faulty_constants(constants) result(faulty)
+    real(dp), intent(in) :: constants(N_CONSTANTS)
+    logical :: faulty(N_CONSTANTS)
+    logical :: inside(N_CONSTANTS)
+
+    inside = ieee_is_finite(constants)
+    where (inside) inside = (constants > LOWER .and. constants < UPPER) &
+      .or. (CLOSED .and. (constants >= LOWER .and. constants <= UPPER))
+    faulty = .not. inside
+  end function faulty_constants
+
+  pure function constant_name(i) result(name)
+    integer, intent(in) :: i
+    character(len=NAME_LENGTH) :: name
+    name = NAMES(i)
+  end function constant_name
+
+end module granumat_parameters

@@ -1,0 +1,228 @@
+!> A path at one point: displacement gradient increments, some amplitudes of which are found so that stresses follow targets.
+!!
+!! An increment without free amplitudes is exact and taken at once. With them, the gradient is constant over inner steps that
+!! are cut until one step and its two halves agree (the free amplitudes are then piecewise linear: second order).
+module granumat_path
+  use granumat_kinds, only: dp
+  use granumat_parameters, only: material_parameters
+  use granumat_state, only: material_state
+  use granumat_status, only: OK, TARGET_NOT_REACHED
+  use granumat_tensors, only: strain_and_spin
+  use granumat_update, only: update
+  implicit none (type, external)
+  private
+  public :: follow_path
+
+  integer, parameter :: MAX_ITERATIONS = 30, MAX_HALVINGS = 12
+  real(dp), parameter :: STRESS_TOLERANCE = 1.0e-10_dp     ! of the largest stress at hand
+  real(dp), parameter :: STRESS_FLOOR = 1.0e-9_dp          ! k/d: below it a granular solid is at rest for every purpose
+  real(dp), parameter :: DIFFERENCE = 1.0e-7_dp            ! relative step of the Jacobian's forward differences
+  real(dp), parameter :: STRAIN_FLOOR = 1.0e-6_dp          ! strain taken as unit of that step where nothing moves yet
+  real(dp), parameter :: SMALLEST_STEP = 1.0e-9_dp         ! of an increment, before the target counts as out of reach
+  real(dp), parameter :: SAFETY = 0.9_dp, SHRINK = 0.2_dp, GROWTH = 4.0_dp
+
+  !> What is sought in every step: amplitudes q so that functional(:, k) . stress = target(k) under G + sum_k q_k mode(:, :, k).
+  type :: control
+    type(material_parameters) :: par
+    real(dp), allocatable :: mode(:, :, :)       ! (3, 3, m)
+    real(dp), allocatable :: functional(:, :)    ! (6, m): weights of stress 11 22 33 12 13 23
+  end type control
+
+contains
+
+  !> Follows n increments; what is computed before a failure stays valid.
+  pure subroutine follow_path(par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: start
+    real(dp), intent(in) :: gradient(:, :, :)      ! (3, 3, n): (j, i) = du_i/dx_j of each increment
+    real(dp), intent(in) :: mode(:, :, :)          ! (3, 3, m)
+    real(dp), intent(in) :: functional(:, :)       ! (6, m)
+    real(dp), intent(in) :: target(:, 0:)          ! (m, 0:n): at the start and after each increment, linear between
+    real(dp), intent(in) :: tolerance              ! on fabric/kappa, Z2 and phi in every inner step
+    type(material_state), intent(out) :: states(:) ! (n): after each increment
+    real(dp), intent(out) :: amplitude(:, :)       ! (m, n): found in each increment
+    integer, intent(out) :: done, status           ! increments done; OK or why there are fewer than n
+    type(control) :: law
+    type(material_state) :: state
+    real(dp) :: step, rates(size(mode, 3)), strain(6), spin(3)
+    integer :: i
+
+    law = control(par, mode, functional)
+    state = start
+    step = 1
+    rates = 0
+    done = 0
+    status = OK
+    do i = 1, size(gradient, 3)
+      if (size(mode, 3) == 0) then
+        call strain_and_spin(gradient(:, :, i), strain, spin)
+        call update(par, state, strain, spin, states(i), status)
+      else
+        call controlled_increment(law, state, gradient(:, :, i), target(:, i - 1), target(:, i), tolerance, &
+          step, rates, states(i), amplitude(:, i), status)
+      end if
+      if (status /= OK) return
+      state = states(i)
+      done = i
+    end do
+  end subroutine follow_path
+
+  !> One increment in as many inner steps as the tolerance asks for.
+  pure subroutine controlled_increment(law, old, G, target_start, target_end, tolerance, step, rates, new, amplitude, status)
+    type(control), intent(in) :: law
+    type(material_state), intent(in) :: old
+    real(dp), intent(in) :: G(3, 3), target_start(:), target_end(:), tolerance
+    real(dp), intent(inout) :: step, rates(:)       ! inner step and amplitudes per increment: kept as the next first guess
+    type(material_state), intent(out) :: new
+    real(dp), intent(out) :: amplitude(:)
+    integer, intent(out) :: status
+    type(material_state) :: state, whole, middle
+    real(dp) :: t, t_end, error, rates_middle(size(rates)), rates_end(size(rates))
+
+    state = old
+    amplitude = 0
+    t = 0
+    do while (t < 1)
+      t_end = min(1.0_dp, t + step)
+      if (1 - t_end < step / 100) t_end = 1
+      step = t_end - t
+      rates_end = rates
+      call solve_step(law, state, step, G, at(t_end), rates_end, whole, status)
+      rates_middle = rates_end
+      if (status == OK) call solve_step(law, state, step / 2, G, at(t + step / 2), rates_middle, middle, status)
+      if (status == OK) call solve_step(law, middle, step / 2, G, at(t_end), rates_end, new, status)
+      if (status /= OK) then
+        if (step < SMALLEST_STEP) return
+        step = step / 4
+        cycle
+      end if
+      error = distance(law%par, whole, new) / 3          ! second order: the halves err by a third of the difference
+      if (error <= tolerance) then
+        state = new
+        amplitude = amplitude + step / 2 * (rates_middle + rates_end)
+        rates = rates_end
+        t = t_end
+      end if
+      step = step * min(GROWTH, max(SHRINK, SAFETY * (tolerance / max(error, tiny(error)))**(1.0_dp / 3)))
+    end do
+    step = min(step, 1.0_dp)
+
+  contains
+
+    pure function at(time) result(target)
+      real(dp), intent(in) :: time
+      real(dp) :: target(size(target_end))
+      target = target_start + time * (target_end - target_start)
+    end function at
+
+  end subroutine controlled_increment
+
+  pure function distance(par, x, y) result(difference)
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: x, y
+    real(dp) :: difference
+    difference = max(maxval(abs(x%fabric - y%fabric)) / par%kappa, &
+      abs(x%coordination_number - y%coordination_number), abs(x%volume_fraction - y%volume_fraction))
+  end function distance
+
+  !> Newton's method with line search for the amplitudes of one step, given and found as rates per increment.
+  pure subroutine solve_step(law, old, step, G, target, rates, new, status)
+    type(control), intent(in) :: law
+    type(material_state), intent(in) :: old
+    real(dp), intent(in) :: step, G(3, 3), target(:)
+    real(dp), intent(inout) :: rates(:)
+    type(material_state), intent(out) :: new
+    integer, intent(out) :: status
+    real(dp), dimension(size(rates)) :: q, q_new, residual, residual_new, change
+    real(dp) :: jacobian(size(rates), size(rates)), scale, delta, length
+    type(material_state) :: shifted
+    integer :: iteration, halving, k, m
+    logical :: regular
+
+    m = size(rates)
+    scale = max(maxval(abs(target)), maxval(abs(old%stress)), STRESS_FLOOR)
+    q = step * rates
+    call evaluate(q, new, residual, status)
+    if (status /= OK) then                             ! the guess leads astray: start from none
+      q = 0
+      call evaluate(q, new, residual, status)
+    end if
+    do iteration = 1, MAX_ITERATIONS
+      if (status /= OK) return
+      if (maxval(abs(residual)) <= STRESS_TOLERANCE * scale) then
+        rates = q / step
+        return
+      end if
+      delta = DIFFERENCE * max(maxval(abs(q)), step * maxval(abs(G)), STRAIN_FLOOR * step)
+      do k = 1, m
+        q_new = q
+        q_new(k) = q(k) + delta
+        call evaluate(q_new, shifted, residual_new, status)
+        if (status /= OK) return
+        jacobian(:, k) = (residual_new - residual) / delta
+      end do
+      change = -residual
+      call solve_linear(jacobian, change, regular)
+      if (.not. regular) exit
+      length = 1
+      do halving = 1, MAX_HALVINGS
+        q_new = q + length * change
+        call evaluate(q_new, shifted, residual_new, status)
+        if (status == OK .and. maxval(abs(residual_new)) < maxval(abs(residual))) exit
+        length = length / 2
+      end do
+      if (halving > MAX_HALVINGS) exit
+      q = q_new
+      residual = residual_new
+      new = shifted
+    end do
+    status = TARGET_NOT_REACHED
+
+  contains
+
+    pure subroutine evaluate(q, state, residual, status)
+      real(dp), intent(in) :: q(:)
+      type(material_state), intent(out) :: state
+      real(dp), intent(out) :: residual(:)
+      integer, intent(out) :: status
+      real(dp) :: total(3, 3), strain(6), spin(3)
+      integer :: k
+
+      total = step * G
+      do k = 1, size(q)
+        total = total + q(k) * law%mode(:, :, k)
+      end do
+      call strain_and_spin(total, strain, spin)
+      call update(law%par, old, strain, spin, state, status)
+      residual = matmul(state%stress, law%functional) - target
+    end subroutine evaluate
+
+  end subroutine solve_step
+
+  !> Gaussian elimination with row pivoting; the solution replaces b.
+  pure subroutine solve_linear(matrix, b, regular)
+    real(dp), intent(inout) :: matrix(:, :), b(:)
+    logical, intent(out) :: regular
+    real(dp) :: factor
+    integer :: i, k, pivot, n
+
+    n = size(b)
+    regular = .false.
+    do k = 1, n
+      pivot = k - 1 + maxloc(abs(matrix(k:, k)), 1)
+      if (.not. abs(matrix(pivot, k)) > 0) return
+      matrix([k, pivot], :) = matrix([pivot, k], :)
+      b([k, pivot]) = b([pivot, k])
+      do i = k + 1, n
+        factor = matrix(i, k) / matrix(k, k)
+        matrix(i, k:) = matrix(i, k:) - factor * matrix(k, k:)
+        b(i) = b(i) - factor * b(k)
+      end do
+    end do
+    do k = n, 1, -1
+      b(k) = (b(k) - dot_product(matrix(k, k + 1:), b(k + 1:))) / matrix(k, k)
+    end do
+    regular = .true.
+  end subroutine solve_linear
+
+end module granumat_path

@@ -1,0 +1,53 @@
+!> What a routine can report, and the words for it: one table for Python and for finite-element hosts.
+module granumat_status
+  implicit none (type, external)
+  private
+  public :: status_message
+
+  integer, parameter, public :: OK = 0
+  integer, parameter, public :: NOT_FINITE = 1
+  integer, parameter, public :: BAD_PARAMETERS = 2
+  integer, parameter, public :: BAD_VOLUME_FRACTION = 3
+  integer, parameter, public :: BAD_FABRIC = 4
+  integer, parameter, public :: INCREMENT_TOO_LARGE = 5
+  integer, parameter, public :: FABRIC_BLOWS_UP = 6
+  integer, parameter, public :: TENSILE_PRESSURE = 7
+  integer, parameter, public :: RESULT_NOT_FINITE = 8
+  integer, parameter, public :: TARGET_NOT_REACHED = 9
+
+  integer, parameter, public :: MESSAGE_LENGTH = 120
+
+contains
+
+  !> The message of a status, blank padded.
+  pure function status_message(status) result(message)
+    integer, intent(in) :: status
+    character(len=MESSAGE_LENGTH) :: message
+
+    select case (status)
+    case (OK)
+      message = 'done'
+    case (NOT_FINITE)
+      message = 'the state or the increment holds a value that is not finite'
+    case (BAD_PARAMETERS)
+      message = 'a material constant is outside its range'
+    case (BAD_VOLUME_FRACTION)
+      message = 'the volume fraction is, or would become, outside (0, 1)'
+    case (BAD_FABRIC)
+      message = 'the fabric is not realisable: eigenvalues of A + I/3 outside [0, 1], or A not traceless'
+    case (INCREMENT_TOO_LARGE)
+      message = 'the increment is beyond what one update integrates: more than 10000 inner steps'
+    case (FABRIC_BLOWS_UP)
+      message = 'the fabric equation (4.7) blows up within the increment'
+    case (TENSILE_PRESSURE)
+      message = 'a1 + a2 abs(A) + g tr D^ is negative: the pressure would be tensile'
+    case (RESULT_NOT_FINITE)
+      message = 'the result is not finite'
+    case (TARGET_NOT_REACHED)
+      message = 'the prescribed stress cannot be reached, however small the increment'
+    case default
+      message = 'unknown status'
+    end select
+  end function status_message
+
+end module granumat_status

@@ -1,0 +1,58 @@
+!> Stress from microstructure. The paper's signs (compression positive) end here: what leaves is tension positive.
+module granumat_stress
+  use granumat_kinds, only: dp
+  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
+  use granumat_tensors, only: IDENTITY, contract, modulus, product_symmetric, trace
+  implicit none (type, external)
+  private
+  public :: pressure_modulus, pressure, friction, stress_deviator
+
+contains
+
+  !> a1 + a2 |A| + g tr D^, (4.2) with (B 1); kappa for |A| in the critical closure (A 11).
+  pure function pressure_modulus(par, A, direction) result(factor)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(6), direction(6)
+    real(dp) :: factor, mod_A
+    mod_A = par%kappa
+    if (par%closure /= CRITICAL) mod_A = modulus(A)
+    factor = par%a1 + par%a2 * mod_A + par%g * trace(direction)
+  end function pressure_modulus
+
+  !> p d/k (4.2), or p/k_Hz (4.4): its 3/2 power; 0 for the unjammed, Z2 <= Zc.
+  pure function pressure(par, factor, excess) result(p)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: factor     ! pressure_modulus
+    real(dp), intent(in) :: excess     ! Z2 - Zc
+    real(dp) :: p
+    p = factor * max(excess, 0.0_dp)**2
+    if (par%contact == HERTZIAN) p = sqrt(p)**3
+  end function pressure
+
+  !> eta (4.5), (4.6); chi for A:S^ in the critical closure (A 12).
+  pure function friction(par, A, S_hat) result(eta)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(6), S_hat(6)
+    real(dp) :: eta, x
+    x = par%chi
+    if (par%closure /= CRITICAL) x = contract(A, S_hat)
+    eta = par%b1 + x * (par%b2 + x * par%b3)
+  end function friction
+
+  !> Deviatoric stress, tension positive: (A 4), of which (4.1), (A 1) are the cases a3 = a4 = 0 and a4 = 0.
+  !!
+  !! Critical: (A 10) is (A 1) with A = lambda S^. Departs from the paper: chi/3 is kept as (lambda/3) S^:S^, its value
+  !! at tr D = 0, so that the term stays traceless when the volume changes.
+  pure function stress_deviator(par, A, S_hat, p) result(dev)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(6), S_hat(6), p
+    real(dp) :: dev(6), x
+
+    x = contract(A, S_hat)
+    dev = -friction(par, A, S_hat) * S_hat
+    dev = dev + par%a3 * (product_symmetric(A, S_hat) - 2 * x / 3 * IDENTITY)
+    dev = dev + par%a4 * (A - x / 2 * S_hat)
+    dev = -p * dev
+  end function stress_deviator
+
+end module granumat_stress
