@@ -6,6 +6,7 @@ module granumat_bindings
     constant_name, CLOSED, LOWER, N_CONSTANTS, NAME_LENGTH, UPPER
   use granumat_path, only: follow_path
   use granumat_state, only: material_state
+  use granumat_stress, only: evaluate
   use granumat_status, only: status_message, MESSAGE_LENGTH
   implicit none (type, external)
   private
@@ -45,6 +46,18 @@ contains
     message = transfer(status_message(status), message)
   end subroutine core_message
 
+  !> The states with their stress replaced by the model's; see evaluate.
+  subroutine core_evaluate(n, par, states, eta) bind(c)
+    integer(c_int), value, intent(in) :: n
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(inout) :: states(n)
+    real(c_double), intent(out) :: eta(n)
+    integer :: i
+    do i = 1, n
+      call evaluate(par, states(i), eta(i))
+    end do
+  end subroutine core_evaluate
+
   subroutine core_update(n, par, old, gradient, new, status) bind(c)
     integer(c_int), value, intent(in) :: n
     type(material_parameters), intent(in) :: par
@@ -55,16 +68,19 @@ contains
     call update_batch(par, old, gradient, new, status)
   end subroutine core_update
 
-  subroutine core_path(n, m, par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status) bind(c)
-    integer(c_int), value, intent(in) :: n, m
+  !> m free modes, in arrays of at least one row (f2py takes no empty ones).
+  subroutine core_path(n, m, rows, par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status) &
+      bind(c)
+    integer(c_int), value, intent(in) :: n, m, rows
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: start
-    real(c_double), intent(in) :: gradient(3, 3, n), mode(3, 3, m), functional(6, m), target(m, 0:n)
+    real(c_double), intent(in) :: gradient(3, 3, n), mode(3, 3, rows), functional(6, rows), target(rows, 0:n)
     real(c_double), value, intent(in) :: tolerance
     type(material_state), intent(out) :: states(n)
-    real(c_double), intent(out) :: amplitude(m, n)
+    real(c_double), intent(out) :: amplitude(rows, n)
     integer(c_int), intent(out) :: done, status
-    call follow_path(par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
+    call follow_path(par, start, gradient, mode(:, :, :m), functional(:, :m), target(:m, :), tolerance, &
+      states, amplitude(:m, :), done, status)
   end subroutine core_path
 
 end module granumat_bindings

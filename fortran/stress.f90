@@ -2,10 +2,12 @@
 module granumat_stress
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
-  use granumat_tensors, only: IDENTITY, contract, modulus, product_symmetric, trace
+  use granumat_state, only: material_state
+  use granumat_coordination, only: excess_coordination
+  use granumat_tensors, only: IDENTITY, contract, deviator, modulus, product_symmetric, trace
   implicit none (type, external)
   private
-  public :: pressure_modulus, pressure, friction, stress_deviator
+  public :: evaluate, pressure_modulus, pressure, stress_deviator
 
 contains
 
@@ -54,5 +56,22 @@ contains
     dev = dev + par%a4 * (A - x / 2 * S_hat)
     dev = -p * dev
   end function stress_deviator
+
+  !> The model stress of a state's microstructure in its direction, and eta; what the critical closure implies is set.
+  pure subroutine evaluate(par, state, eta)
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(inout) :: state
+    real(dp), intent(out) :: eta
+    real(dp) :: S_hat(6), p
+
+    S_hat = deviator(state%direction)
+    if (par%closure == CRITICAL) then
+      state%fabric = par%lambda * S_hat                                                        ! (A 9)
+      state%coordination_number = par%Zc + excess_coordination(par, log(state%volume_fraction / par%phic))
+    end if
+    eta = friction(par, state%fabric, S_hat)
+    p = pressure(par, pressure_modulus(par, state%fabric, state%direction), state%coordination_number - par%Zc)
+    state%stress = stress_deviator(par, state%fabric, S_hat, p) - p * IDENTITY
+  end subroutine evaluate
 
 end module granumat_stress

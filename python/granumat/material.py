@@ -1,0 +1,353 @@
+"""The material and the state of its points. The only file that knows the compiled core."""
+
+import difflib
+
+import numpy as np
+
+from . import _core, tensors
+from .errors import MaterialError
+
+CLOSURES = ("critical", "basic", "n2", "full", "kinematic")       # positions are the core's numbers
+CONTACTS = ("hookean", "hertzian")
+CALIBRATIONS = ("table-1", "text", "figure-16")
+FRICTIONS = ("linear", "quadratic")
+
+STATE = np.dtype([
+    ("stress", "f8", 6), ("fabric", "f8", 6), ("direction", "f8", 6),
+    ("coordination_number", "f8"), ("volume_fraction", "f8"),
+])
+"""What a point remembers, 20 numbers. stress: Cauchy, tension positive, in k/d (k_Hz for Hertzian contacts); fabric: A (3.1);
+direction: D/abs(D) of the last strain, 0 before any. Six components are xx yy zz xy xz yz."""
+
+# What a closure does without.
+UNUSED = {
+    "critical": ("a4", "d1", "d2", "d3"), "basic": ("a3", "a4"), "n2": ("a4",), "full": (), "kinematic": ("a4",),
+}
+
+
+def _ranges():
+    """name -> (lower, upper, closed) of every constant, from the core's table."""
+    ranges = {}
+    for i in range(1, 21):
+        name, lower, upper, closed = _core.core_range(i)
+        ranges[name.tobytes().decode().strip()] = (lower[0], upper[0], bool(closed[0]))
+    return ranges
+
+
+RANGES = _ranges()
+DERIVED = ("chi", "kappa", "lambda", "fabric_limit")
+
+
+def describe_range(name):
+    """The allowed values of a constant in words."""
+    lower, upper, closed = RANGES[name]
+    huge = np.finfo(float).max
+    words = []
+    if lower > -huge:
+        words.append(f"{'at least' if closed else 'above'} {lower:g}")
+    if upper < huge:
+        words.append(f"{'at most' if closed else 'below'} {upper:g}")
+    return " and ".join(words) or "any finite number"
+
+
+def choose(kind, name, allowed, faults):
+    """The position of a name among those allowed; what is wrong is appended to faults."""
+    if name in allowed:
+        return allowed.index(name)
+    near = difflib.get_close_matches(str(name), allowed, 1)
+    faults.append(f"{kind} {name!r}: must be one of {', '.join(allowed)}" + (f" (did you mean {near[0]!r}?)" if near else ""))
+    return 0
+
+
+def refuse(what, faults):
+    """Raises ValueError naming all faults, if there are any."""
+    if faults:
+        raise ValueError(f"{what}:\n  " + "\n  ".join(faults))
+
+
+def is_number(value):
+    """Whether a value is a real number (not a bool)."""
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+
+
+class Material:
+    """The constitutive law with its constants.
+
+    Parameters
+    ----------
+    mu : float
+        Interparticle friction coefficient, 0 to 1; the other constants follow from it.
+    closure : str
+        "critical" (A 10)-(A 12), "basic" (4.1), "n2" (A 1), "full" (A 4) or "kinematic" ((A 4) with a4 = -2 b2).
+    contact : str
+        "hookean" (4.2) or "hertzian" (4.4).
+    friction : str
+        "linear" (4.5) or "quadratic" (4.6); the latter needs b1, b2 and b3, which the paper does not print.
+    calibration : str
+        Source of a4: "table-1", "text" or "figure-16".
+    elastic_strain : float
+        e_r, strain over which the deviatoric stress relaxes to the model's; 0 is the paper.
+    **constants : float
+        Overrides, by name: a1 a2 a3 a4 b1 b2 b3 Zc phic c1 c2 c3 d1 d2 d3 beta1 beta2 g.
+
+    Raises
+    ------
+    ValueError
+        Names everything that is wrong at once.
+    """
+
+    def __init__(self, mu=0.5, closure="full", contact="hookean", friction="linear", calibration="table-1",
+                 elastic_strain=0.0, **constants):
+        faults = []
+        closure_number = choose("closure", closure, CLOSURES, faults)
+        contact_number = choose("contact", contact, CONTACTS, faults)
+        calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
+        choose("friction", friction, FRICTIONS, faults)
+        given = {"mu": mu, "elastic_strain": elastic_strain, **constants}
+        for name, value in given.items():
+            if name not in RANGES:
+                near = difflib.get_close_matches(name, RANGES, 1)
+                hint = f" (did you mean {near[0]!r}?)" if near else ""
+                faults.append(f"unknown constant {name!r}: allowed are {', '.join(RANGES)}{hint}")
+            elif not is_number(value):
+                faults.append(f"{name} = {value!r}: must be a number, {describe_range(name)}")
+            elif name in constants and name in UNUSED.get(closure, ()):
+                faults.append(f"{name} = {value!r}: has no role in the closure {closure!r}")
+        missing = [name for name in ("b1", "b2", "b3") if name not in constants]
+        if friction == "quadratic" and missing:
+            faults.append(f"friction 'quadratic': the paper prints no constants, give {', '.join(missing)} as well")
+        if friction == "linear" and "b3" in constants:
+            faults.append("b3: belongs to friction 'quadratic'")
+        values = {name: float(value) for name, value in given.items() if name in RANGES and is_number(value)}
+
+        usable_mu = values.get("mu", 0.0) if np.isfinite(values.get("mu", 0.0)) else 0.0
+        par = _core.core_parameters(usable_mu, closure_number, contact_number, calibration_number)
+        names = list(RANGES)
+        for name, value in values.items():
+            par[names.index(name)] = value
+        if closure == "kinematic":
+            par[names.index("a4")] = -2 * par[names.index("b2")]
+        faulty = _core.core_complete(par, par[:len(names)].copy())
+        faults += [f"{name} = {value!r}: must be {describe_range(name)}"
+                   for name, value in values.items() if faulty[names.index(name)]]
+        refuse("the material cannot be made", faults)
+        self._par = par
+        self._par.flags.writeable = False
+        self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
+        self.constants = dict(zip(names + list(DERIVED), par.tolist()))
+        self._given = {"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
+                       "elastic_strain": elastic_strain, **constants}
+
+    def __repr__(self):
+        return "Material(" + ", ".join(f"{name}={value!r}" for name, value in self._given.items()) + ")"
+
+    def __reduce__(self):
+        return _remake, (self._given,)
+
+    def __getitem__(self, name):
+        """A constant by its symbol: material["Zc"]."""
+        return self.constants[name]
+
+    @property
+    def definition(self):
+        """The arguments that make this material, as the [material] table of a path file."""
+        return dict(self._given)
+
+    # ---- states ----------------------------------------------------------------------------------------------------
+
+    def state(self, volume_fraction, coordination_number, fabric=None, direction=None, stress=None):
+        """A checked state.
+
+        Parameters
+        ----------
+        volume_fraction : float
+            phi, in (0, 1).
+        coordination_number : float
+            Z2; up to the material's Zc the state is unjammed.
+        fabric : array (6,) or (3, 3), optional
+            A: traceless, eigenvalues of A + I/3 in [0, 1], abs(A) below the limit above which (4.7) can blow up.
+        direction : array (6,) or (3, 3), optional
+            D/abs(D) of the last strain: modulus 1, or 0 before any strain.
+        stress : array (6,) or (3, 3), optional
+            Tension positive; the default is the model's.
+
+        Returns
+        -------
+        numpy record of dtype STATE
+        """
+        state = np.zeros(1, STATE)
+        faults = []
+        numbers = {"volume_fraction": volume_fraction, "coordination_number": coordination_number}
+        for name, value in numbers.items():
+            if not is_number(value) or not np.isfinite(value):
+                faults.append(f"{name} = {value!r}: must be a finite number")
+            else:
+                state[name] = value
+        if not faults and not 0 < volume_fraction < 1:
+            faults.append(f"volume_fraction = {volume_fraction!r}: must be in (0, 1)")
+        for name, value in {"fabric": fabric, "direction": direction, "stress": stress}.items():
+            if value is not None:
+                state[name] = _components(name, value, faults)
+        faults += self._fabric_faults(state["fabric"][0])
+        size = tensors.modulus(state["direction"][0])
+        if not (size == 0 or abs(size - 1) < 1e-9):
+            faults.append(f"direction: its modulus is {size:g}, must be 1, or 0 before any strain")
+        refuse("the state is not admissible", faults)
+        if stress is None:
+            _core.core_evaluate(self._par, _numbers(state))
+        return state.view(np.recarray)[0]
+
+    def _fabric_faults(self, fabric):
+        faults = []
+        if abs(tensors.trace(fabric)) > 1e-12:
+            faults.append(f"fabric: its trace is {tensors.trace(fabric):g}, must be 0")
+        eigenvalues = np.linalg.eigvalsh(tensors.full(fabric)) + 1 / 3
+        if eigenvalues[0] < 0 or eigenvalues[-1] > 1:
+            values = ", ".join(f"{value:.6g}" for value in eigenvalues)
+            faults.append(f"fabric: eigenvalues of A + I/3 are {values}, must be in [0, 1]")
+        size, limit = tensors.modulus(fabric), self["fabric_limit"]
+        if size >= limit:
+            faults.append(f"fabric: abs(A) = {size:.6g}, must be below {limit:.6g}, from where (4.7) can blow up")
+        return faults
+
+    def isotropic(self, volume_fraction, pressure=None, coordination_number=None):
+        """An isotropic packing (A = 0), from its mean pressure or its coordination number.
+
+        The critical closure has no state variables: it takes neither, its pressure follows from the volume fraction.
+        """
+        faults = []
+        if self.closure == "critical":
+            if pressure is not None or coordination_number is not None:
+                faults.append("the critical closure takes no pressure or coordination_number: phi sets both")
+            coordination_number = self["Zc"]
+        elif (pressure is None) == (coordination_number is None):
+            faults.append("give either pressure or coordination_number")
+        elif pressure is not None:
+            if not is_number(pressure) or not 0 <= pressure < np.inf:
+                faults.append(f"pressure = {pressure!r}: must be a finite number, at least 0")
+            else:
+                hookean = pressure ** (2 / 3) if self.contact == "hertzian" else pressure
+                coordination_number = self["Zc"] + float(np.sqrt(hookean / self["a1"]))     # (4.2), (4.4)
+        refuse("the isotropic state cannot be made", faults)
+        return self.state(volume_fraction, coordination_number)
+
+    def steady(self, volume_fraction):
+        """Steady simple shear at constant volume, du_x/dz > 0: the fixed point of (4.7) with its spin, and of (4.8)."""
+        gradient = np.zeros((3, 3))
+        gradient[0, 2] = STEADY_STRAIN
+        return self.update(self.state(volume_fraction, self["Zc"]), gradient)
+
+    # ---- what the core does ----------------------------------------------------------------------------------------
+
+    def update(self, states, gradient, out=None):
+        """The states after an increment of deformation, exact for a velocity gradient constant over it.
+
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+        gradient : array (..., 3, 3)
+            du_i/dx_j of the increment; its skew part is the spin.
+        out : record array (...) of dtype STATE, contiguous, optional
+            Receives the result.
+
+        Returns
+        -------
+        record array (...) of dtype STATE
+
+        Raises
+        ------
+        MaterialError
+            With the status of every point; failing points keep their old state, the others are done.
+        """
+        old = np.ascontiguousarray(states, STATE).reshape(-1)
+        gradient = np.ascontiguousarray(gradient, float)
+        shape = np.shape(states)
+        if gradient.shape != shape + (3, 3):
+            raise ValueError(f"gradient has shape {gradient.shape}: must be {shape + (3, 3)} for states of shape {shape}")
+        new = np.empty(shape, STATE) if out is None else out
+        if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
+            raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
+        status = np.zeros(old.size, np.int32)
+        _core.core_update(self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status)
+        records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
+        if status.any():
+            first = int(np.flatnonzero(status)[0])
+            others = np.count_nonzero(status) - 1
+            raise MaterialError(f"point {first}: {status_message(status[first])}" + (f" (and {others} more)" if others else ""),
+                                status.reshape(shape), records)
+        return records
+
+    def evaluate(self, states):
+        """The model's stress (..., 6), tension positive, and friction coefficient eta (...) of the states' microstructure.
+
+        Differs from the states' own stress where it is held or, with e_r > 0, relaxing.
+        """
+        states = np.array(states, STATE)
+        eta = _core.core_evaluate(self._par, _numbers(states.reshape(-1)))
+        return states["stress"], eta.reshape(states.shape)
+
+    def follow(self, state, gradients, modes, functionals, targets, tolerance):
+        """Follows increments of one point; the driver's engine.
+
+        Parameters
+        ----------
+        state : record of dtype STATE
+        gradients : array (n, 3, 3)
+            du_i/dx_j of each increment.
+        modes : array (m, 3, 3)
+            Displacement gradients that are free: their amplitudes are found.
+        functionals : array (m, 6)
+            Weights of the stress components (tension positive) that are prescribed.
+        targets : array (n + 1, m)
+            Their values at the start and after each increment, linear between.
+        tolerance : float
+            Largest error of fabric/kappa, Z2 and phi in an inner step, where there are free modes.
+
+        Returns
+        -------
+        states : record array (done,) of dtype STATE
+        amplitudes : array (done, m)
+        status : int
+            0, or why fewer than n increments were done.
+        """
+        start = np.array(state, STATE).reshape(1)
+        m = len(modes)
+        rows = max(m, 1)                                          # the binding takes no empty arrays
+        states, amplitudes, done, status = _core.core_path(
+            m, self._par, _numbers(start)[0], gradients, np.resize(modes, (rows, 3, 3)), np.resize(functionals, (rows, 6)),
+            np.resize(targets, (len(gradients) + 1, rows)), tolerance)
+        done = int(done[0])
+        return states[:done].view(STATE)[:, 0].view(np.recarray), amplitudes[:done, :m], int(status[0])
+
+
+STEADY_STRAIN = 40.0    # shear strain after which exp(-5.6 s), the slowest decay, is below round-off
+
+
+def status_message(status):
+    """The core's words for a status."""
+    return _core.core_message(int(status)).tobytes().decode().strip()
+
+
+def _remake(given):
+    return Material(**given)
+
+
+def _numbers(states):
+    """States (n,) as the core sees them, (n, 20), without a copy."""
+    return states.view(np.ndarray).view(float).reshape(-1, 20)
+
+
+def _components(name, value, faults):
+    try:
+        value = np.asarray(value, float)
+    except (TypeError, ValueError):
+        value = np.full(0, np.nan)
+    if value.shape == (3, 3) and np.allclose(value, value.T, rtol=0, atol=1e-14):
+        value = tensors.six(value)
+    if value.shape != (6,):
+        faults.append(f"{name}: must be 6 numbers xx yy zz xy xz yz or a symmetric 3 x 3 tensor")
+    elif not np.isfinite(value).all():
+        faults.append(f"{name} = {value.tolist()}: must be finite")
+    else:
+        return value
+    return np.zeros(6)
