@@ -140,12 +140,8 @@ contains
     rest = share
     e_start = x%e
     do step = 1, MAX_STEPS
-      if (par%elastic_strain > 0) then
-        rate = graded_rate(par, inc, x)
-      else if (modulus(x%A) > par%fabric_limit) then         ! may grow
-        rate = smooth_rate(par, inc, modulus(x%A))
-      end if
-      next_rest = rest - rest / max(1, ceiling(min(rest * rate / STEP_RATE, real(MAX_STEPS, dp))))
+      if (modulus(x%A) > par%fabric_limit) rate = smooth_rate(par, inc, modulus(x%A))     ! may grow
+      next_rest = rest - rest / max(1, ceiling(min(rest * graded_rate(par, inc, x, rate, e_end) / STEP_RATE, real(MAX_STEPS, dp))))
       call inner_step(par, inc, rest - next_rest, e_end + next_rest / share * (e_start - e_end), x, status)
       if (status /= OK .or. next_rest <= 0) return
       rest = next_rest
@@ -162,21 +158,29 @@ contains
     rate = fabric_rate(par, inc%mod_D, inc%spin) + (2 * par%c3 * mod_A + par%d2) * inc%mod_D
   end function smooth_rate
 
-  !> The same with e_r > 0: the model stress is not smooth in A = 0, Z2 = Zc and phi = phic, approached in graded steps.
-  pure function graded_rate(par, inc, x) result(rate)
+  !> The same where something is not smooth, approached in graded steps: Z2 in phi = phic (the square root is integrated
+  !! exactly there, but the nodes crowd); with e_r > 0 also the model stress, in A = 0, Z2 = Zc and phi = phic.
+  pure function graded_rate(par, inc, x, smooth, e_end) result(rate)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(internal), intent(in) :: x
-    real(dp) :: rate, mod_A, tr, near_isotropy, near_jamming, near_critical
+    real(dp), intent(in) :: smooth, e_end     ! smooth_rate; ln(phi/phic) at the end of the part
+    real(dp) :: rate, volume_rate, e_next, mod_A, near_isotropy, near_jamming
 
-    mod_A = modulus(x%A)
-    tr = abs(trace(inc%direction))
-    near_isotropy = 4 * abs(par%c1) / max(mod_A, SMALL_FABRIC)
-    near_jamming = (abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess) + abs(par%d3) * tr) &
-      / max(abs(x%excess), SMALL_EXCESS)
-    near_critical = 0
-    if (x%e >= 0) near_critical = 4 * tr / max(x%e, SMALL_E)
-    rate = max(smooth_rate(par, inc, mod_A), STEP_RATE * inc%mod_D * max(near_isotropy, near_jamming, near_critical))
+    volume_rate = STEP_RATE * inc%mod_D * trace(inc%direction)
+    rate = smooth
+    if (x%e > 0 .or. e_end > 0) then
+      e_next = min(x%e, max(e_end, x%e - volume_rate / smooth))     ! the smaller at the ends of the next smooth step
+      rate = max(rate, min(abs(volume_rate) / max(e_next, SMALL_E), 4 * smooth))
+      if (par%elastic_strain > 0) rate = max(rate, 4 * abs(volume_rate) / max(x%e, SMALL_E))
+    end if
+    if (par%elastic_strain > 0) then
+      mod_A = modulus(x%A)
+      near_isotropy = 4 * abs(par%c1) / max(mod_A, SMALL_FABRIC)
+      near_jamming = (abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess) + abs(par%d3 * trace(inc%direction))) &
+        / max(abs(x%excess), SMALL_EXCESS)
+      rate = max(rate, STEP_RATE * inc%mod_D * max(near_isotropy, near_jamming))
+    end if
   end function graded_rate
 
   pure subroutine inner_step(par, inc, share, e_end, x, status)

@@ -112,3 +112,23 @@ def integrate(c, fabric, z2, phi, gradient, deviator=None, contact="hookean", rt
     a, z, ph = y[:, :9].reshape(n, 3, 3), y[:, 9], y[:, 10]
     p, model = model_stress(c, a, z, gradient, contact)
     return a, z, ph, p, (y[:, 11:20].reshape(n, 3, 3) if relaxing else model)
+
+
+def random_increments(rng, n, mu, shear, spin=3.0, volume=0.5, margin=0.005, excess=(0.2, 1.2)):
+    """Random fabrics, Z2, phi and displacement gradients (n, 3, 3): shear strains up to `shear`, spins up to `spin` times as
+    large, volume strains up to `volume` times |S| that keep phi at least `margin` above phic at both ends."""
+    c = constants(mu)
+
+    def random_tensors(sign):
+        x = rng.normal(size=(n, 3, 3))
+        x = x + sign * np.swapaxes(x, 1, 2)
+        x = x - scale(np.trace(x, axis1=1, axis2=2) / 3, np.eye(3))
+        return scale(1 / modulus(x), x)
+
+    size = shear / 2 * rng.random(n)
+    fabric = scale(0.0444 * rng.random(n), random_tensors(1))
+    phi, phi_end = c["phic"] + margin + 0.04 * rng.random((2, n))
+    volume_strain = np.clip(np.log(phi / phi_end), -volume * size, volume * size)
+    gradient = scale(size, random_tensors(1)) + scale(spin * size * rng.random(n), random_tensors(-1))
+    gradient = gradient + scale(volume_strain / 3, np.eye(3))
+    return fabric, c["Zc"] + rng.uniform(*excess, n), phi, gradient

@@ -106,9 +106,7 @@ class Material:
         given = {"mu": mu, "elastic_strain": elastic_strain, **constants}
         for name, value in given.items():
             if name not in RANGES:
-                near = difflib.get_close_matches(name, RANGES, 1)
-                hint = f" (did you mean {near[0]!r}?)" if near else ""
-                faults.append(f"unknown constant {name!r}: allowed are {', '.join(RANGES)}{hint}")
+                choose("unknown name", name, ("closure", "contact", "friction", "calibration", *RANGES), faults)
             elif not is_number(value):
                 faults.append(f"{name} = {value!r}: must be a number, {describe_range(name)}")
             elif name in constants and name in UNUSED.get(closure, ()):

@@ -1,6 +1,5 @@
 """Path files: a material, an initial state and steps, as TOML."""
 
-import inspect
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from . import driver
-from .material import RANGES, Material, is_number, refuse
+from .material import Material, is_number, refuse
 
 INITIAL = {
     "steady": ("phi",), "isotropic": ("phi", "pressure", "Z2"), "given": ("phi", "Z2", "fabric", "direction", "stress"),
@@ -58,8 +57,8 @@ def read_path_file(path):
             raise ValueError(f"{path}: not a TOML file: {error}") from None
     faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance"
               for name in content if name not in ("material", "initial", "step", "tolerance")]
-    material = _attempt(lambda: Material(**_table(content, "material", _material_keys())), faults)
-    state = _attempt(lambda: _initial(material, _table(content, "initial", None)), faults)
+    material = _attempt(lambda: Material(**_table(content, "material")), faults)
+    state = _attempt(lambda: _initial(material, _table(content, "initial")), faults)
     entries = content.get("step", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         faults.append("no steps: give at least one [[step]]")
@@ -78,20 +77,14 @@ def _attempt(action, faults, prefix=""):
     try:
         return action()
     except (ValueError, OSError) as error:
-        faults.append(prefix + str(error))
+        faults.append(prefix + str(error).replace("\n", "\n  "))
         return None
 
 
-def _material_keys():
-    return [*(name for name in inspect.signature(Material).parameters if name != "constants"), *RANGES]
-
-
-def _table(content, name, allowed):
+def _table(content, name):
     table = content.get(name, {})
     if not isinstance(table, dict):
         raise ValueError(f"{name}: must be a table [{name}]")
-    unknown = [key for key in table if allowed is not None and key not in allowed]
-    refuse(f"[{name}]", [f"unknown key {key!r}: allowed are {', '.join(dict.fromkeys(allowed))}" for key in unknown])
     return table
 
 
@@ -125,11 +118,13 @@ def read_step(entry, directory=Path()):
         raise ValueError(f"must have exactly one of the keys {', '.join(STEPS)}; has {', '.join(entry) or 'none'}")
     kind = kinds[0]
     required, optional = STEPS[kind]
-    faults = [f"unknown key {key!r}: allowed with {kind!r} are {', '.join(required + optional)}"
+    faults = [f"unknown key {key!r}: allowed with {kind!r} are {', '.join(required + optional) or 'none'}"
               for key in entry if key not in (kind, *required, *optional)]
     faults += [f"{key} is missing" for key in required if key not in entry]
     if "control" in entry and ("free" in entry or "stress" in entry):
         faults.append("control excludes free and stress, which it sets")
+    if entry.get("control", "volume") not in driver.CONTROLS:
+        faults.append(f"control = {entry['control']!r}: must be one of {', '.join(driver.CONTROLS)}")
     numbers = ("shear", "strain", "amplitude", "compression", "pressure")
     faults += [f"{key} = {entry[key]!r}: must be a finite number" for key in numbers
                if key in entry and not (is_number(entry[key]) and np.isfinite(entry[key]))]

@@ -1,0 +1,37 @@
+"""The picture of a history."""
+
+from matplotlib.figure import Figure
+
+PANELS = (
+    ("p", "pressure $p\\,d/k$"), ("stress_ratio", "stress ratio $-\\sigma_{xz}/p$"), ("phi", "volume fraction $\\phi$"),
+    ("Z2", "coordination number $Z_2$"), ("A_xz", "fabric $A_{xz}$"), ("sigma", "normal stresses $\\sigma\\,d/k$"),
+)
+
+
+def history_figure(history, title=""):
+    """Pressure, stress ratio, volume fraction, coordination number, fabric and normal stresses against accumulated strain.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    unit = "k_{Hz}" if history.material.contact == "hertzian" else "k"
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    figure.suptitle(title)
+    strain = history["gamma_total"]
+    boundaries = strain[1:][history["step"][1:] != history["step"][:-1]][1:]
+    for axes, (name, label) in zip(figure.subplots(2, 3, sharex=True).flat, PANELS):
+        if name == "sigma":
+            for axis, style in (("xx", "-"), ("yy", "--"), ("zz", "-.")):
+                axes.plot(strain, history[f"sigma_{axis}"], style, label=f"$\\sigma_{{{axis}}}$")
+            axes.legend(frameon=False)
+        else:
+            axes.plot(strain, history[name])
+        for boundary in boundaries:
+            axes.axvline(boundary, color="0.8", linewidth=0.8, zorder=0)
+        axes.set_ylabel(label.replace("d/k", f"d/{unit}") if unit == "k" else label.replace("\\,d/k", f"/{unit}"))
+        axes.ticklabel_format(axis="y", useOffset=False)
+        axes.grid(linewidth=0.3)
+    for axes in figure.axes[3:]:
+        axes.set_xlabel("accumulated strain $\\gamma$")
+    return figure

@@ -1,0 +1,90 @@
+"""The update is exact: against an adaptive 8th-order solution of the paper's rate equations (reference.py)."""
+
+import numpy as np
+import pytest
+import reference
+
+from granumat import STATE, Material, tensors
+
+MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
+
+
+def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0, across=False, margin=0.005, **sampling):
+    """Largest errors of A/kappa, Z2, phi (relative) and stress (over the larger of p and the deviator) of n random updates."""
+    rng = np.random.default_rng(seed)
+    worst = np.zeros(4)
+    for mu in MUS:
+        m = n // len(MUS)
+        c = reference.constants(mu, closure) | {"elastic_strain": elastic_strain}
+        fabric, z2, phi, gradient = reference.random_increments(rng, m, mu, shear, margin=margin, **sampling)
+        if across:                                   # phi starts within the increment's volume strain of phic, on either side
+            volume_strain = rng.choice([-1, 1], m) * 0.5 * reference.parts(gradient)[4]
+            gradient = gradient + reference.scale((volume_strain - np.trace(gradient, axis1=1, axis2=2)) / 3, np.eye(3))
+            phi = c["phic"] * np.exp(rng.random(m) * volume_strain)
+        deviator = reference.scale(1e-3 * rng.random(m), fabric / 0.04)
+        a, z, ph, p, dev = reference.integrate(c, fabric, z2, phi, gradient, deviator, contact)
+
+        material = Material(mu, closure, contact, elastic_strain=elastic_strain)
+        old = np.zeros(m, STATE)
+        old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.six(fabric), z2, phi
+        old["stress"] = -tensors.six(deviator)
+        new = material.update(old, gradient)
+        sigma = tensors.six(dev + reference.scale(p, np.eye(3)))
+        jammed = p > 1e-3 * material["a1"]
+        worst = np.maximum(worst, [
+            np.abs(new.fabric - tensors.six(a)).max() / material["kappa"],
+            np.abs(new.coordination_number / z - 1).max(),
+            np.abs(new.volume_fraction / ph - 1).max(),
+            (np.abs(new.stress + sigma).max(1)[jammed] / np.abs(sigma).max(1)[jammed]).max(),
+        ])
+    return dict(zip(("A", "Z2", "phi", "stress"), worst))
+
+
+def test_error_is_below_1e_12_for_shear_up_to_0_02_in_one_update():
+    assert max(errors(1, 1000, 0.02).values()) < 1e-12
+
+
+def test_error_is_below_1e_10_for_shear_up_to_1():
+    assert max(errors(2, 1000, 1.0).values()) < 1e-10
+
+
+@pytest.mark.parametrize("contact", ["hookean", "hertzian"])
+@pytest.mark.parametrize("closure", ["basic", "n2", "full", "kinematic"])
+def test_every_closure_and_contact_is_exact(closure, contact):
+    assert max(errors(3, 100, 0.02, closure, contact).values()) < 1e-12
+
+
+@pytest.mark.parametrize("shear", [0.02, 0.2, 1.0])
+def test_error_stays_below_1e_11_across_phic(shear):
+    assert max(errors(4, 500, shear, across=True).values()) < 1e-11
+
+
+@pytest.mark.parametrize("shear", [0.002, 0.02, 0.1])
+@pytest.mark.parametrize("elastic_strain", [1e-1, 1e-2, 1e-3, 1e-4])
+def test_error_stays_below_1e_8_with_an_elastic_strain(elastic_strain, shear):
+    worst = errors(5, 100, shear, elastic_strain=elastic_strain)
+    assert worst.pop("stress") < 1e-8
+    assert max(worst.values()) < 1e-12
+
+
+def test_error_stays_below_1e_8_with_an_elastic_strain_across_phic():
+    assert max(errors(6, 250, 0.1, elastic_strain=1e-2, across=True).values()) < 1e-8
+
+
+def test_large_spin_is_exact():
+    assert max(errors(7, 250, 0.1, spin=100.0).values()) < 1e-11
+
+
+def test_unjamming_within_the_increment_is_exact():
+    assert max(errors(8, 250, 0.5, excess=(-0.5, 0.5)).values()) < 1e-10
+
+
+def test_quadratic_friction_and_isotropic_term_follow_the_reference():
+    rng = np.random.default_rng(9)
+    c = reference.constants(0.5) | {"b1": 0.2, "b2": -2.0, "b3": 3.0, "g": 1e-3}
+    fabric, z2, phi, gradient = reference.random_increments(rng, 100, 0.5, 0.05)
+    _, _, _, p, dev = reference.integrate(c, fabric, z2, phi, gradient)
+    old = np.zeros(100, STATE)
+    old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.six(fabric), z2, phi
+    new = Material(0.5, friction="quadratic", b1=0.2, b2=-2.0, b3=3.0, g=1e-3).update(old, gradient)
+    np.testing.assert_allclose(-new.stress, tensors.six(dev + reference.scale(p, np.eye(3))), atol=1e-14)
