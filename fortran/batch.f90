@@ -1,8 +1,9 @@
 !> Many points in one call; every point is computed as it would be alone.
 module granumat_batch
   use granumat_kinds, only: dp
-  use granumat_parameters, only: material_parameters
+  use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: material_state
+  use granumat_status, only: BAD_PARAMETERS
   use granumat_tensors, only: strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
@@ -20,6 +21,11 @@ contains
     real(dp) :: strain(6), spin(3)
     integer :: i
 
+    if (.not. are_valid(par)) then
+      new = old
+      status = BAD_PARAMETERS
+      return
+    end if
     do i = 1, size(old)
       call strain_and_spin(gradient(:, :, i), strain, spin)
       call update(par, old(i), strain, spin, new(i), status(i))

@@ -3,7 +3,7 @@ module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
   use granumat_batch, only: update_batch
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
-    constant_name, CLOSED, LOWER, N_CONSTANTS, NAME_LENGTH, UPPER
+    are_valid, constant_name, CLOSED, LOWER, N_CONSTANTS, NAME_LENGTH, UPPER
   use granumat_path, only: follow_path
   use granumat_state, only: material_state
   use granumat_stress, only: evaluate
@@ -20,13 +20,13 @@ contains
     par = parameters_from_friction(mu, closure, contact, calibration)
   end subroutine core_parameters
 
-  !> After an override: which constants are faulty (1), and chi ... fabric_limit anew if none is.
-  subroutine core_complete(par, constants, faulty) bind(c)
+  !> After an override: which constants are faulty (1); what follows from them is set anew if none is.
+  subroutine core_complete(par, faulty, valid) bind(c)
     type(material_parameters), intent(inout) :: par
-    real(c_double), intent(in) :: constants(N_CONSTANTS)      ! the first of par, as an array
-    integer(c_int), intent(out) :: faulty(N_CONSTANTS)
-    faulty = merge(1, 0, faulty_constants(constants))
+    integer(c_int), intent(out) :: faulty(N_CONSTANTS), valid
+    faulty = merge(1, 0, faulty_constants(par))
     if (all(faulty == 0)) call derive_constants(par)
+    valid = merge(1, 0, are_valid(par))
   end subroutine core_complete
 
   subroutine core_range(i, name, lower_bound, upper_bound, closed_bounds) bind(c)

@@ -8,7 +8,7 @@ module granumat_parameters
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: parameters_from_friction, derive_constants, faulty_constants, constant_name
+  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid, constant_name
 
   !> The numbers of a material; the first N_CONSTANTS are the user's to override, the rest follows from them.
   type, public, bind(c) :: material_parameters
@@ -38,12 +38,12 @@ module granumat_parameters
     'mu', 'a1', 'a2', 'a3', 'a4', 'b1', 'b2', 'b3', 'Zc', 'phic', 'c1', 'c2', 'c3', 'd1', 'd2', 'd3', &
     'beta1', 'beta2', 'g', 'elastic_strain']
 
-  ! A constant lies in (LOWER, UPPER), or equals a finite bound where the name's row below says "closed".
-  real(dp), parameter :: ANY = huge(1.0_dp)
+  ! Allowed: between LOWER and UPPER; on these too where CLOSED.
+  real(dp), parameter :: INFTY = huge(1.0_dp)
   real(dp), parameter, public :: LOWER(N_CONSTANTS) = [real(dp) :: &
-    0, 0, -ANY, -ANY, -ANY, -ANY, -ANY, -ANY, 0, 0, -ANY, -ANY, 0, -ANY, 0, -ANY, 0, 0, -ANY, 0]
+    0, 0, -INFTY, -INFTY, -INFTY, -INFTY, -INFTY, -INFTY, 0, 0, -INFTY, -INFTY, 0, -INFTY, 0, -INFTY, 0, 0, -INFTY, 0]
   real(dp), parameter, public :: UPPER(N_CONSTANTS) = [real(dp) :: &
-    1, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY, 1, 0, 0, ANY, ANY, ANY, ANY, ANY, ANY, ANY, ANY]
+    1, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, 1, 0, 0, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY]
   logical, parameter, public :: CLOSED(N_CONSTANTS) = [.true., .false., .false., .false., .false., .false., .false., &
     .false., .false., .false., .false., .true., .false., .false., .true., .false., .true., .false., .false., .true.]
 
@@ -113,16 +113,26 @@ contains
   end subroutine derive_constants
 
   !> Which constants are not finite or outside their range.
-  pure function faulty_constants(constants) result(faulty)
-    real(dp), intent(in) :: constants(N_CONSTANTS)
-    logical :: faulty(N_CONSTANTS)
-    logical :: inside(N_CONSTANTS)
+  pure function faulty_constants(par) result(faulty)
+    type(material_parameters), intent(in) :: par
+    logical :: faulty(N_CONSTANTS), inside(N_CONSTANTS)
+    real(dp) :: constants(N_CONSTANTS)
 
+    constants = [real(dp) :: par%mu, par%a1, par%a2, par%a3, par%a4, par%b1, par%b2, par%b3, par%Zc, par%phic, par%c1, par%c2, &
+      par%c3, par%d1, par%d2, par%d3, par%beta1, par%beta2, par%g, par%elastic_strain]
     inside = ieee_is_finite(constants)
     where (inside) inside = (constants > LOWER .and. constants < UPPER) &
       .or. (CLOSED .and. (constants >= LOWER .and. constants <= UPPER))
     faulty = .not. inside
   end function faulty_constants
+
+  !> Whether all constants are in range and what follows from them is finite, kappa positive.
+  pure function are_valid(par) result(valid)
+    type(material_parameters), intent(in) :: par
+    logical :: valid
+    valid = .not. any(faulty_constants(par)) .and. all(ieee_is_finite([par%chi, par%kappa, par%lambda, par%fabric_limit]))
+    if (valid) valid = par%kappa > 0
+  end function are_valid
 
   pure function constant_name(i) result(name)
     integer, intent(in) :: i

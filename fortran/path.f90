@@ -4,9 +4,9 @@
 !! are cut until one step and its two halves agree (the free amplitudes are then piecewise linear: second order).
 module granumat_path
   use granumat_kinds, only: dp
-  use granumat_parameters, only: material_parameters
+  use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: material_state
-  use granumat_status, only: OK, TARGET_NOT_REACHED
+  use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
   use granumat_tensors, only: strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
@@ -53,6 +53,8 @@ contains
     rates = 0
     done = 0
     status = OK
+    if (.not. are_valid(par)) status = BAD_PARAMETERS
+    if (status /= OK) return
     do i = 1, size(gradient, 3)
       if (size(mode, 3) == 0) then
         call strain_and_spin(gradient(:, :, i), strain, spin)

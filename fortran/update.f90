@@ -51,7 +51,7 @@ contains
     new = old
     status = check_state(old)
     if (status == OK .and. .not. (all(ieee_is_finite(strain)) .and. all(ieee_is_finite(spin)))) status = NOT_FINITE
-    if (status /= OK .or. norm2([strain, spin]) <= 0) return
+    if (status /= OK .or. maxval(abs([strain, spin])) <= 0) return
 
     inc = to_increment(strain, spin)
     if (inc%mod_D > 0) then

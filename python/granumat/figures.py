@@ -365,17 +365,30 @@ def figure_13():
 
 
 def figure_14():
-    figure, panels = _sheet(14, "normal stresses with the second normal stress difference", r"closure n2, $\bar\sigma_{13}=(\sigma_{xx}+"
-                            r"\sigma_{zz})/2$; (a) steady shear, solid $\mu$ = 0.5, dashed and square $\mu$ = 0.1; (b) $\mu$ = 0.5, "
-                            r"$\phi$ = 0.60," "\nconstant volume, reversal at 1; DEM in (a): means at " r"($\mu$, $\phi$) = (0.1, 0.63), "
-                            "(0.5, 0.60) twice", [("phi", "normal/p"), ("strain", "normal/p")])
+    notes = (r"closure n2, $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, solid: $\mu$ = 0.5, dashed: $\mu$ = 0.1, "
+             r"DEM: $\phi$ = 0.60 for $\mu$ = 0.5, 0.63 for 0.1" "\n" r"(b) $\mu$ = 0.5, $\phi$ = 0.60, constant volume, reversal at 1")
+    figure, (steady, reversal) = _sheet(14, "normal stresses, second difference only", notes,
+                                        [("phi", "normal/p"), ("strain", "normal/p")])
+    components = ("sigma_13", "sigma_yy")
+    _steady_stresses(steady, 0.5, "n2", components)
+    _steady_stresses(steady, 0.1, "n2", components, linestyle="--", label=None)
+    steady.legend(loc="lower right")
+    _reversal_stresses(reversal, "n2", components)
     return figure
 
 
 def figure_15():
     components = ("sigma_xx", "sigma_yy", "sigma_zz")
-    figure, panels = _sheet(15, "normal stresses with both normal stress differences", "", [("phi", "normal/p")] * 2
-                            + [("strain", "normal/p")], 3)
+    differences = [f"{name} {(c['sigma_xx'] - c['sigma_zz']) / c['p']:+.3f} and {(c['sigma_zz'] - c['sigma_yy']) / c['p']:+.3f}"
+                   for name, c in [("model", {k: v[0] for k, v in _steady(Material(0.5)).items()})]
+                   + [("DEM", run.mean) for run in dem_runs(0.5)]]
+    notes = (r"closure full; (a, b) steady shear, $\mu$ = 0.5 and 0.1; (c) $\mu$ = 0.5, $\phi$ = 0.60, constant volume, reversal at 1" "\n"
+             r"$N_1/p$ and $N_2/p$ at $\mu$ = 0.5: " + ", ".join(differences))
+    figure, panels = _sheet(15, "normal stresses, both differences", notes, [("phi", "normal/p")] * 2 + [("strain", "normal/p")], 3)
+    for panel, mu in zip(panels, (0.5, 0.1)):
+        _steady_stresses(panel, mu, "full", components)
+        panel.legend(loc="center right")
+    _reversal_stresses(panels[2], "full", components)
     return figure
 
 

@@ -125,9 +125,12 @@ class Material:
             par[names.index(name)] = value
         if closure == "kinematic":
             par[names.index("a4")] = -2 * par[names.index("b2")]
-        faulty = _core.core_complete(par, par[:len(names)].copy())
+        faulty, valid = _core.core_complete(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
+        if not faulty.any() and not valid[0]:
+            faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
+                          + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
         self._par = par
         self._par.flags.writeable = False
