@@ -1,6 +1,6 @@
 """The model's curves of the paper's figures, with this project's discrete-element (DEM) data where the conditions match.
 
-Everything that is plotted is a dict of columns named as in granumat.driver, plus those of `_derived`; DEM runs too.
+What is drawn is always a dict of columns, named as in granumat.driver and completed by `_derived`, the DEM's too.
 """
 
 import re
@@ -16,126 +16,118 @@ from matplotlib.lines import Line2D
 from . import driver, tensors
 from .material import CALIBRATIONS, STATE, Material, refuse
 
-MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
 BLUE, RED, GREEN, PURPLE, ORANGE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "0.25"     # Okabe & Ito
-MU_COLOURS = dict(zip(MUS, (PURPLE, GREEN, ORANGE, BLUE, RED)))
-STRESS_COLOURS = {"sigma_xx": BLUE, "sigma_yy": RED, "sigma_zz": GREEN, "sigma_13": BLUE,
-                  "sigma_xz": BLUE, "sigma_xy": RED, "sigma_yz": GREEN}
+MU_COLOURS = {0.0: PURPLE, 0.1: GREEN, 0.3: ORANGE, 0.5: BLUE, 1.0: RED}
+STRESSES = {            # what a panel shows: component, colour, symbol
+    "normal": (("sigma_xx/p", BLUE, r"$\sigma_{xx}$"), ("sigma_yy/p", RED, r"$\sigma_{yy}$"), ("sigma_zz/p", GREEN, r"$\sigma_{zz}$")),
+    "normal, two": (("sigma_13/p", BLUE, r"$\bar\sigma_{13}$"), ("sigma_yy/p", RED, r"$\sigma_{yy}$")),
+    "shear": (("sigma_xz/p", BLUE, r"$\sigma_{xz}$"), ("sigma_xy/p", RED, r"$\sigma_{xy}$"), ("sigma_yz/p", GREEN, r"$\sigma_{yz}$")),
+}
 DEM = "DEM (this project's runs, 2000 spheres, one realisation each)"
 POINTS = {"linestyle": "none", "marker": "o", "markersize": 4.5, "markerfacecolor": "none", "markeredgewidth": 0.9}
-DOTS = POINTS | {"markersize": 2.2, "markeredgewidth": 0.5}
-THINNING = 4            # one row in so many of a DEM run is drawn against strain
+DOTS = POINTS | {"markersize": 2.2, "markeredgewidth": 0.5, "markevery": 4}        # of the rows of a run
 
-MU = r"interparticle friction coefficient $\mu$"
-STRAIN = r"accumulated shear strain $\dot\gamma_0 t$"
-NORMAL = r"normal stress $\sigma/p$"
 LABELS = {
-    "mu": MU, "strain": STRAIN, "time": STRAIN + r" (paused for $1<\dot\gamma_0 t<2$)",
+    "mu": r"interparticle friction coefficient $\mu$", "strain": r"accumulated shear strain $\dot\gamma_0 t$",
+    "time": r"accumulated shear strain $\dot\gamma_0 t$ (paused for $1<\dot\gamma_0 t<2$)",
     "p": r"pressure $p\,d/k$", "phi": r"volume fraction $\phi$", "stress_ratio": r"stress ratio $-\sigma_{xz}/p$",
     "Z2": r"coordination number $Z_2$", "A_xz": r"fabric $A_{xz}$", "eta": r"friction coefficient $\eta$",
     "Z2-Zc": r"$Z_2-Z_c$", "(Z2-Zc)^2": r"$(Z_2-Z_c)^2$", "(phi-phic)^1/2": r"$(\phi-\phi_c)^{1/2}$",
-    "normal/p": NORMAL, "shear/p": r"shear stress $\sigma/p$",
+    "normal": r"normal stress $\sigma/p$", "normal, two": r"normal stress $\sigma/p$", "shear": r"shear stress $\sigma/p$",
     "Zc": r"critical coordination number $Z_c$", "a2": r"$a_2$ in (4.2)", "phic": r"critical volume fraction $\phi_c$",
-    "b1, b2": r"constants of (4.5)", "a3": r"$a_3$ in (A 1)", "a4": r"$a_4$ in (A 4)",
+    "b": r"$b_1$, $b_2$ in (4.5)", "a3": r"$a_3$ in (A 1)", "a4": r"$a_4$ in (A 4)",
 }
 
 
 # ---- columns ---------------------------------------------------------------------------------------------------------
 
 def _derived(columns, material):
-    """The columns with those that only figures use: scaled stresses, distances from jamming."""
-    more = {"sigma_13/p": (columns["sigma_xx"] + columns["sigma_zz"]) / 2 / columns["p"],
-            "Z2-Zc": columns["Z2"] - material["Zc"], "(Z2-Zc)^2": (columns["Z2"] - material["Zc"]) ** 2,
-            "(phi-phic)^1/2": np.sqrt(np.maximum(columns["phi"] - material["phic"], 0))}
-    return columns | more | {f"sigma_{axis}/p": columns[f"sigma_{axis}"] / columns["p"] for axis in tensors.AXES}
+    """The columns with those only figures need: distances from jamming, stresses scaled by the pressure."""
+    scaled = {f"sigma_{axis}/p": columns[f"sigma_{axis}"] / columns["p"] for axis in tensors.AXES}
+    return columns | scaled | {
+        "sigma_13/p": (scaled["sigma_xx/p"] + scaled["sigma_zz/p"]) / 2,
+        "Z2-Zc": columns["Z2"] - material["Zc"], "(Z2-Zc)^2": (columns["Z2"] - material["Zc"]) ** 2,
+        "(phi-phic)^1/2": np.sqrt(np.maximum(columns["phi"] - material["phic"], 0))}
 
 
-def _history(material, state, steps):
-    """Columns along a path; `time` goes on through its second step, a pause of 1 (figure 1)."""
+def _history(material, state, *steps):
+    """Columns along a path."""
     columns = driver.run(material, state, steps).columns
     strain = columns["gamma_total"]
-    return _derived(columns | {"strain": strain, "time": strain + (columns["step"] > 1)}, material)
+    return _derived(columns | {"strain": strain, "time": strain + (columns["step"] > 1)}, material)    # step 2 pauses
 
 
-def _steady(material):
-    """Columns of steady simple shear at volume fractions above phic."""
-    states = [material.steady(phi) for phi in material["phic"] + np.linspace(0.02, 0.21, 58) ** 2]
+def _reversal(material, control="volume"):
+    """Columns from the steady state at phi 0.60 through a reversal after a shear strain of 1."""
+    return _history(material, material.steady(0.60), driver.shear(1, control), driver.shear(-2, control, increments=400))
+
+
+def _steady(material, distances=np.linspace(0.02, 0.2, 46)):
+    """Columns of steady simple shear, from (phi - phic)^(1/2)."""
+    states = [material.steady(phi) for phi in material["phic"] + np.asarray(distances) ** 2]
     return _derived(driver.state_columns(material, np.array(states, STATE)), material)
 
 
 def _isotropic(material):
-    """Columns of isotropic states from Zc up; the pressure does not depend on phi."""
-    states = [material.isotropic(0.6, coordination_number=material["Zc"] + x) for x in np.linspace(0, 2, 61)]
+    """Columns of isotropic states from Zc up; their volume fraction does not matter."""
+    states = [material.isotropic(0.6, coordination_number=material["Zc"] + x) for x in np.linspace(0, 1.8, 61)]
     return driver.state_columns(material, np.array(states, STATE))
 
 
 def _constants(**definition):
     """Columns of the constants against mu."""
-    mus = np.linspace(0, 1, 101)
-    materials = [Material(mu, **definition) for mu in mus.tolist()]
-    return {"mu": mus} | {name: np.array([material[name] for material in materials]) for name in materials[0].constants
-                          if name != "mu"}
+    materials = [Material(mu, **definition) for mu in np.linspace(0, 1, 101).tolist()]
+    return {name: np.array([material[name] for material in materials]) for name in materials[0].constants}
 
 
 @dataclass(frozen=True)
 class Run:
-    """A DEM run: rows (n,) of columns, those of slow steady shear and those after its reversal."""
+    """A DEM run at constant volume: columns of its slow shear, of the part after the reversal, means of the part before."""
 
-    mu: float
-    columns: dict
-    forward: np.ndarray
-    after: np.ndarray
-
-    def rows(self, which):
-        return {name: column[which] for name, column in self.columns.items()}
-
-    @property
-    def mean(self):
-        """Means over the slow steady shear."""
-        return {name: column[self.forward].mean() for name, column in self.columns.items()}
+    shear: dict
+    after: dict
+    steady: dict
 
 
 def dem_runs(*mus):
-    """The DEM runs of these interparticle friction coefficients, from the package's data.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the package was built without them.
-    """
+    """The DEM runs with one of these interparticle friction coefficients; FileNotFoundError without the package's data."""
     folder = resources.files(__package__) / "data"
-    matches = [re.fullmatch(r"cv_mu([0-9.]+)_phi[0-9.]+_s\d+\.csv", file.name) for file in folder.iterdir()] if folder.is_dir() else []
-    matches = sorted((match for match in matches if match), key=lambda match: match[0])
+    names = sorted(file.name for file in folder.iterdir()) if folder.is_dir() else []
+    matches = [match for match in (re.fullmatch(r"cv_mu([\d.]+)_phi[\d.]+_s\d+\.csv", name) for name in names) if match]
     if not matches:
-        raise FileNotFoundError(f"no DEM data in {folder}: the build puts demos/data/cv_mu*_phi*_s*.csv there")
+        raise FileNotFoundError(f"no DEM data in {folder}: the build puts demos/data/cv_*.csv there")
     return [_read_run(folder / match[0], float(match[1])) for match in matches if float(match[1]) in mus]
 
 
 def _read_run(path, mu):
     with path.open() as file:
-        names = file.readline().strip().split(",")
-        data = dict(zip(names, np.loadtxt(file, delimiter=",").T))
-    rename = {f"{letter}{axis}": f"{word}_{axis}" for letter, word in (("p", "sigma"), ("A", "A")) for axis in tensors.AXES}
-    columns = {rename.get(name, name): column for name, column in data.items()}
-    columns["p"] = (data["pxx"] + data["pyy"] + data["pzz"]) / 3
+        data = dict(zip(file.readline().strip().split(","), np.loadtxt(file, delimiter=",").T))
+    columns = {"phi": data["phi"], "Z2": data["Z2"], "p": (data["pxx"] + data["pyy"] + data["pzz"]) / 3}
     columns["stress_ratio"] = -data["pxz"] / columns["p"]
-    last = data["gamma"].argmax()
-    row = np.arange(len(data["gamma"]))
-    after = row > last
-    forward = (data["gamma_acc"] > 0) & ~after             # gamma_acc is negative in the first, faster shear
-    start, end = data["gamma"][forward][0], data["gamma"][last]
-    columns["strain"] = np.where(after, 2 * end - data["gamma"], data["gamma"]) - start
-    columns["time"] = columns["strain"] + after
-    columns["mu"] = np.full(len(row), mu)
-    columns["eta"] = np.abs(columns["stress_ratio"])         # in steady shear
-    return Run(mu, _derived(columns, Material(mu)), forward, after)
+    for axis in tensors.AXES:
+        columns |= {f"sigma_{axis}": data[f"p{axis}"], f"A_{axis}": data[f"A{axis}"]}
+    gamma, reversal = data["gamma"], data["gamma"].argmax()
+    after = np.arange(len(gamma)) > reversal
+    before = ~after & (data["gamma_acc"] > 0)                # negative while the run is sheared faster, to warm up
+    columns["strain"] = np.where(after, 2 * gamma[reversal] - gamma, gamma) - gamma[before.argmax() - 1]
+    columns["time"] = columns["strain"] + after              # (figure 1)
+    columns = _derived(columns, Material(mu))
+    shear, later, earlier = ({name: column[rows] for name, column in columns.items()} for rows in (before | after, after, before))
+    return Run(shear, later, {"mu": mu} | {name: column.mean() for name, column in earlier.items()})
+
+
+def quadratic_friction(runs):
+    """b1, b2, b3 of (4.6) by least squares over the runs' rows after the reversal, where A:S^ = -2 A_xz, eta = sigma_xz/p."""
+    x = np.concatenate([-2 * run.after["A_xz"] for run in runs])
+    eta = np.concatenate([-run.after["stress_ratio"] for run in runs])
+    return dict(zip(("b1", "b2", "b3"), np.polyfit(x, eta, 2)[::-1].tolist()))
 
 
 # ---- panels ----------------------------------------------------------------------------------------------------------
 
 @dataclass(frozen=True)
 class Panel:
-    """Axes with the names of the columns they show."""
+    """Axes and the names of the columns they show."""
 
     axes: Axes
     x: str
@@ -144,28 +136,37 @@ class Panel:
     def draw(self, columns, y=None, **style):
         self.axes.plot(columns[self.x], columns[y or self.y], **style)
 
-    def legend(self, **options):
-        self.axes.legend(fontsize=7.5, frameon=False, **options)
+    def legend(self, place, **options):
+        self.axes.legend(loc=place, fontsize=7.5, frameon=False, **options)
+
+    def inset(self, bounds, label, limits):
+        """Small axes for a constant against mu."""
+        axes = self.axes.inset_axes(bounds)
+        axes.set(xlim=(0, 1), ylim=limits, xticks=(0, 0.5, 1))
+        axes.set_xlabel(r"$\mu$", fontsize=7, labelpad=0)
+        axes.set_ylabel(label, fontsize=7, labelpad=1)
+        axes.tick_params(labelsize=6)
+        return axes
 
 
-def _sheet(number, title, notes, names, columns=2, dem=True, colours=(GREY, GREY)):
-    """A figure with lettered panels of the columns named (x, y), its conditions and a legend below."""
-    rows, foot = -(-len(names) // columns), 0.45 + 0.17 * notes.count("\n") + 0.17
-    width, height = max(4.4 * columns, 6.4), 2.7 * rows + 0.4 + foot
-    figure = Figure(figsize=(width, height))
+def _sheet(number, title, notes, names, columns=2, colours=(GREY, GREY)):
+    """A figure with panels of the columns named (x, y); below them a legend, model and DEM in their colours, and notes."""
+    rows, foot = -(-len(names) // columns), 0.5 + 0.17 * len(notes)                 # inches
+    height = 2.7 * rows + 0.4 + foot
+    figure = Figure(figsize=(max((4.8 - 0.3 * columns) * columns, 6.4), height))
     figure.set_layout_engine("constrained", rect=(0, foot / height, 1, 1 - foot / height))
     figure.suptitle(f"Figure {number}: {title}", fontsize=11)
-    figure.text(0.5, 0.08 / height, notes, fontsize=8, ha="center", va="bottom", linespacing=1.3)
-    handles = [Line2D([], [], color=colours[0], label="model"), Line2D([], [], color=colours[1], label=DEM, **POINTS)]
-    figure.legend(handles=handles[:1 + dem], loc="lower center", bbox_to_anchor=(0.5, (foot - 0.3) / height), ncol=2,
+    figure.text(0.5, 0.1 / height, "\n".join(notes), fontsize=8, ha="center", va="bottom", linespacing=1.3)
+    handles = [Line2D([], [], color=colour, label=label, **style)
+               for colour, label, style in zip(colours, ("model", DEM), ({}, POINTS))]
+    figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1 - (height - foot + 0.3) / height), ncol=2,
                   fontsize=8, frameon=False, borderaxespad=0)
     panels = []
     for i, (x, y) in enumerate(names):
         axes = figure.add_subplot(rows, columns, i + 1)
         axes.set_xlabel(LABELS[x], fontsize=9)
         axes.set_ylabel(LABELS[y], fontsize=9)
-        if len(names) > 1:
-            axes.set_title(f"({'abcd'[i]})", loc="left", fontsize=9)
+        axes.set_title(f"({'abcd'[i]})" if len(names) > 1 else "", loc="left", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(linewidth=0.3)
         panels.append(Panel(axes, x, y))
@@ -173,239 +174,197 @@ def _sheet(number, title, notes, names, columns=2, dem=True, colours=(GREY, GREY
 
 
 def _evolution(number, title, notes, first, history, runs=(), x="strain"):
-    """Four panels against strain: `first`, stress ratio, coordination number and fabric."""
+    """A figure with `first`, stress ratio, coordination number and fabric against strain."""
     names = [(x, y) for y in (first, "stress_ratio", "Z2", "A_xz")]
-    figure, panels = _sheet(number, title, notes, names, dem=bool(runs), colours=(RED, BLUE))
+    figure, panels = _sheet(number, title, notes, names, colours=(RED, BLUE) if runs else (RED,))
     for panel in panels:
         for run in runs:
-            panel.draw(run.rows(run.forward | run.after), color=BLUE, markevery=THINNING, **DOTS)
+            panel.draw(run.shear, color=BLUE, **DOTS)
         panel.draw(history, color=RED)
     return figure, panels
 
 
-def _stresses(panel, columns, components, **style):
-    """Scaled stress components, each in its colour."""
-    for name in components:
-        label = rf"$\bar\sigma_{{13}}$" if name == "sigma_13" else rf"$\sigma_{{{name[-2:]}}}$"
-        panel.draw(columns, f"{name}/p", color=STRESS_COLOURS[name], **{"label": label} | style)
+def _stresses(panel, model, runs, points, line="-"):
+    """The stresses of a panel, scaled by the pressure."""
+    for name, colour, symbol in STRESSES[panel.y]:
+        for run in runs:
+            panel.draw(run, name, color=colour, **points)
+        panel.draw(model, name, color=colour, linestyle=line, label=symbol if line == "-" else None)
+    panel.axes.set_ylim(None if panel.y == "shear" else (0.87, 1.13))
+    panel.legend("center" if panel.y == "shear" else "upper center", ncol=3)
 
 
-def _steady_stresses(panel, mu, closure, components, **style):
-    """Stress components of steady shear against phi, model and DEM."""
-    _stresses(panel, _steady(Material(mu, closure)), components, **style)
-    for run in dem_runs(mu):
-        _stresses(panel, run.mean, components, label=None, **POINTS)
-
-
-def _reversal_stresses(panel, closure, components):
-    """Stress components before and after a reversal at mu 0.5, phi 0.60, model and DEM."""
-    material = Material(0.5, closure)
-    for run in dem_runs(0.5):
-        _stresses(panel, run.rows(run.forward | run.after), components, label=None, markevery=THINNING, alpha=0.7, **DOTS)
-    _stresses(panel, _history(material, material.steady(0.60), [driver.shear(1), driver.shear(-2, increments=400)]), components)
-    panel.legend(loc="lower right", ncol=len(components))
-
-
-def _inset(panel, bounds, columns, label, limits):
-    """A small plot of a constant against mu."""
-    axes = panel.axes.inset_axes(bounds)
-    axes.plot(*columns, color=GREY)
-    axes.set(ylim=limits, xlim=(0, 1))
-    axes.set_xlabel(r"$\mu$", fontsize=7, labelpad=0)
-    axes.set_ylabel(label, fontsize=7, labelpad=1)
-    axes.tick_params(labelsize=6)
-    return axes
-
-
-def _level(panel, height, text, **style):
-    """A labelled horizontal line."""
-    panel.axes.axhline(height, linewidth=0.9, **style)
-    panel.axes.text(0.98, height, text, transform=panel.axes.get_yaxis_transform(), ha="right", va="bottom", fontsize=7.5)
+def _stress_figure(number, title, notes, closure, *plots):
+    """A figure with one panel for each plot: y, then mu of steady shear against phi, or nothing for a reversal at mu 0.5."""
+    names = [("phi" if mus else "strain", y) for y, *mus in plots]
+    figure, panels = _sheet(number, title, notes, names, len(plots))
+    for panel, (_, *mus) in zip(panels, plots):
+        for mu, line in zip(mus, ("-", "--")):
+            _stresses(panel, _steady(Material(mu, closure)), [run.steady for run in dem_runs(mu)], POINTS, line)
+        if not mus:
+            _stresses(panel, _reversal(Material(0.5, closure)), [run.shear for run in dem_runs(0.5)], DOTS)
+    return figure
 
 
 # ---- the figures -----------------------------------------------------------------------------------------------------
 
+NO_DEM = "no DEM run of this project under constant pressure"
+DEM_POINTS = r"DEM: means of steady shear at constant volume, ($\mu$, $\phi$) = (0.1, 0.63), (0.3, 0.61) and twice (0.5, 0.60)"
+REVERSAL = r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, reversal at 1"
+
+
 def figure_01():
     material = Material(0.5)
-    history = _history(material, material.steady(0.60), [driver.shear(1), driver.pause(), driver.shear(-2, increments=400)])
-    return _evolution(1, "unsteady simple shear at constant volume", r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full; "
-                      "shear 1, pause, reversed shear 2; DEM: two runs", "p", history, dem_runs(0.5), "time")[0]
+    history = _history(material, material.steady(0.60), driver.shear(1), driver.pause(), driver.shear(-2, increments=400))
+    notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear; DEM: two runs",
+             "the model's stress follows from its state at once: its stress ratio jumps at the reversal")
+    return _evolution(1, "unsteady simple shear at constant volume", notes, "p", history, dem_runs(0.5), "time")[0]
 
 
 def figure_02():
-    material = Material(0.5)
-    state = material.steady(0.60)
-    history = _history(material, state, [driver.shear(1, "pressure"), driver.shear(-2, "pressure", 400)])
-    return _evolution(2, "shear reversal at constant pressure", r"$\mu$ = 0.5, $p\,d/k$ = " f"{history['p'][0]:.4f}, the model's steady "
-                      r"pressure at $\phi$ = 0.60, closure full; reversal at 1; no DEM run of this project", "phi", history)[0]
+    history = _reversal(Material(0.5), "pressure")
+    notes = (r"$\mu$ = 0.5, closure full, constant pressure, reversal at 1; " + NO_DEM,
+             rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure at $\phi$ = 0.60")
+    return _evolution(2, "shear reversal at constant pressure", notes, "phi", history)[0]
 
 
 def figure_04():
-    figure, panels = _sheet(4, "pressure against coordination number", "closure full; (a) solid: steady simple shear, dashed: isotropic; "
-                            "(b) isotropic; (c, d) steady simple shear\nDEM: steady means at constant volume "
-                            r"($\mu$, $\phi$) = (0.1, 0.63), (0.3, 0.61), (0.5, 0.60) twice",
-                            [("Z2", "p")] * 3 + [("(Z2-Zc)^2", "p")])
+    notes = ("closure full; (a) solid: steady simple shear, dashed: isotropic; (b) isotropic; (c, d) steady simple shear", DEM_POINTS)
+    figure, panels = _sheet(4, "pressure against coordination number", notes, [("Z2", "p")] * 3 + [("(Z2-Zc)^2", "p")])
     for mu, colour in MU_COLOURS.items():
-        material = Material(mu)
-        isotropic, steady = _isotropic(material), _steady(material)
+        isotropic, steady = _isotropic(Material(mu)), _steady(Material(mu))
         style = {"color": colour, "label": rf"$\mu$ = {mu:g}"}
         if mu in (0.1, 0.5):
             panels[0].draw(isotropic, color=colour, linestyle="--")
             panels[0].draw(steady, **style)
-        panels[1].draw(isotropic, **style)
+        panels[1].draw(isotropic, color=colour)
         for panel in panels[2:]:
             panel.draw(steady, **style)
             for run in dem_runs(mu):
-                panel.draw(run.mean, color=colour, **POINTS)
-    for panel in panels:
-        panel.axes.set_ylim(0, 0.035)
-        panel.legend(loc="upper left")
+                panel.draw(run.steady, color=colour, **POINTS)
+    for panel in (panels[0], *panels[2:]):
+        panel.legend("upper left")
     constants = _constants()
-    _inset(panels[1], (0.30, 0.62, 0.28, 0.32), (constants["mu"], constants["a1"]), "$a_1$", (0, 0.015))
+    panels[1].inset((0.13, 0.58, 0.24, 0.38), "$a_1$", (0, 0.015)).plot(constants["mu"], constants["a1"], color=GREY)
     return figure
 
 
 def figure_05():
-    figure, panels = _sheet(5, "constants of the pressure and of the coordination number", "fits of table 1; its sign of $a_2$ is a "
-                            r"misprint: +0.1$\mu$ here", [("mu", y) for y in ("Zc", "a2", "phic")], 3, dem=False)
+    notes = (r"the fits of table 1; $a_2$ is +0.1 $\mu$: the minus sign printed in the table is a misprint",)
+    figure, panels = _sheet(5, "constants of the pressure and of the coordination number", notes,
+                            [("mu", "Zc"), ("mu", "a2"), ("mu", "phic")], 3, (GREY,))
     for panel in panels:
         panel.draw(_constants(), color=GREY)
     return figure
 
 
-def quadratic_friction(runs):
-    """b1, b2, b3 of (4.6) by least squares over all rows after the reversals, where A:S^ = -2 A_xz and eta = sigma_xz/p."""
-    x = np.concatenate([-2 * run.columns["A_xz"][run.after] for run in runs])
-    eta = np.concatenate([-run.columns["stress_ratio"][run.after] for run in runs])
-    return dict(zip(("b3", "b2", "b1"), np.polyfit(x, eta, 2).tolist()))
-
-
 def figure_07():
-    runs = dem_runs(0.5)
+    runs, material = dem_runs(0.5), Material(0.5)
     fit = quadratic_friction(runs)
-    notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full; model: reversed and reversed again, DEM: reversed once"
-             "\n(4.5) with table 1's constants; (4.6) with constants fitted here to the DEM rows after the reversal:\n" + ", ".join(
-                 rf"$\hat b_{name[1]}$ = {value:.4g}" for name, value in sorted(fit.items())))
-    figure, [panel] = _sheet(7, "stress ratio against fabric during reversal", notes, [("A_xz", "stress_ratio")], 1)
+    notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full; model: reversed twice, DEM: reversed once",
+             "(4.5) with table 1's constants; (4.6) with constants not printed, here a least-squares fit to the DEM after reversal:",
+             ", ".join(rf"$\hat b_{name[1]} = {value:.3g}$" for name, value in fit.items()))
+    figure, [panel] = _sheet(7, "stress ratio against fabric", notes, [("A_xz", "stress_ratio")], 1, (RED, BLUE))
     for run in runs:
-        panel.draw(run.rows(run.forward | run.after), color=BLUE, markevery=2, **DOTS)
-    for label, style, definition in (("linear (4.5)", "--", {}), ("quadratic (4.6)", "-", {"friction": "quadratic"} | fit)):
-        material = Material(0.5, **definition)
-        history = _history(material, material.steady(0.60), [driver.shear(-2, increments=400), driver.shear(2, increments=400)])
-        panel.draw(history, color=RED, linestyle=style, label=label)
-    panel.legend(loc="upper right")
+        panel.draw(run.shear, color=BLUE, **DOTS | {"markevery": 2})
+    quadratic = Material(0.5, friction="quadratic", **fit)
+    for material, label, line in ((Material(0.5), "linear (4.5)", "--"), (quadratic, "quadratic (4.6)", "-")):
+        steps = driver.shear(-2, increments=2000), driver.shear(2, increments=2000)
+        panel.draw(_history(material, material.steady(0.60), *steps), color=RED, linestyle=line, label=label)
+    panel.legend("upper right")
     return figure
 
 
 def figure_08():
-    figure, (steady, constants) = _sheet(8, "macroscopic friction coefficient of steady simple shear", r"closure full; $\eta$ does not "
-                                         r"depend on $\phi$; DEM at ($\mu$, $\phi$) = (0.1, 0.63), (0.3, 0.61), (0.5, 0.60) twice",
-                                         [("mu", "eta"), ("mu", "b1, b2")])
+    notes = (r"closure full, (4.5); $\eta$ does not depend on $\phi$", DEM_POINTS)
+    figure, (friction, constants) = _sheet(8, "friction coefficient of steady simple shear", notes, [("mu", "eta"), ("mu", "b")])
     c = _constants()
-    c["eta"] = np.array([Material(mu).evaluate(Material(mu).steady(0.66))[1] for mu in c["mu"].tolist()])
-    c["closed"], c["fit"] = c["b1"] + c["b2"] * c["chi"], -0.3 * np.exp(-6 * c["mu"]) + 0.41
-    steady.draw(c, color=GREY, label="steady shear, with spin")
-    steady.draw(c, "closed", color=RED, linestyle="--", label=r"$b_1+b_2\chi$, spin neglected (A 12)")
-    steady.draw(c, "fit", color=BLUE, linestyle=":", linewidth=2, label=r"printed fit $-0.3\,e^{-6\mu}+0.41$")
-    for run in dem_runs(*MUS):
-        steady.draw(run.mean, color=GREY, **POINTS)
+    c["eta"] = np.array([_steady(Material(mu), [0.1])["eta"][0] for mu in c["mu"].tolist()])
+    c |= {"b1 + b2 chi": c["b1"] + c["b2"] * c["chi"], "printed": 0.41 - 0.3 * np.exp(-6 * c["mu"])}
+    friction.draw(c, color=GREY, label="model, steady shear")
+    friction.draw(c, "b1 + b2 chi", color=RED, linestyle="--", label=r"model, $b_1+b_2\chi$ (A 12), which neglects the spin")
+    friction.draw(c, "printed", color=BLUE, linestyle=":", linewidth=2, label=r"printed fit $0.41-0.3\,e^{-6\mu}$")
+    for run in dem_runs(*MU_COLOURS):
+        friction.draw(run.steady, "stress_ratio", color=GREY, **POINTS)
     for name, colour in (("b1", BLUE), ("b2", RED)):
-        constants.draw(c, name, color=colour, label=f"${name[0]}_{name[1]}$")
-    for panel in (steady, constants):
-        panel.legend(loc="lower right" if panel is steady else "center right")
+        constants.draw(c, name, color=colour, label=f"$b_{name[1]}$")
+    friction.legend("lower right")
+    constants.legend("center right")
     return figure
 
 
 def figure_09():
-    figure, panels = _sheet(9, "coordination number of steady simple shear", r"closure full; (b) the model's lines coincide, 0.012 below "
-                            r"7.5 $(\phi-\phi_c)^{1/2}$ because of the spin" "\n" r"$Z_c$ and $\phi_c$ of the DEM points: table 1's fits",
-                            [("phi", "Z2"), ("(phi-phic)^1/2", "Z2-Zc")])
+    notes = (r"closure full; (b) the model's lines coincide, slightly below $7.5\,(\phi-\phi_c)^{1/2}$ because of the spin",
+             DEM_POINTS, r"$Z_c$ and $\phi_c$ of the DEM points in (b) and in the inset are the fits of table 1")
+    figure, panels = _sheet(9, "coordination number of steady simple shear", notes, [("phi", "Z2"), ("(phi-phic)^1/2", "Z2-Zc")])
+    inset = panels[0].inset((0.72, 0.17, 0.26, 0.30), r"$\beta_1$", (6, 10))
+    inset.plot((0, 1), (Material()["beta1"],) * 2, color=GREY)
     for mu, colour in MU_COLOURS.items():
+        runs = dem_runs(mu)
         for panel in panels:
             panel.draw(_steady(Material(mu)), color=colour, label=rf"$\mu$ = {mu:g}")
-            for run in dem_runs(mu):
-                panel.draw(run.mean, color=colour, **POINTS)
-    inset = _inset(panels[0], (0.70, 0.16, 0.28, 0.30), ((0, 1), (Material()["beta1"],) * 2), r"$\beta_1$", (6, 10))
-    for run in dem_runs(*MUS):
-        inset.plot(run.mu, run.mean["Z2-Zc"] / run.mean["(phi-phic)^1/2"], color=MU_COLOURS[run.mu], **POINTS)
+            for run in runs:
+                panel.draw(run.steady, color=colour, **POINTS)
+        for run in runs:
+            inset.plot(mu, run.steady["Z2-Zc"] / run.steady["(phi-phic)^1/2"], color=colour, **POINTS)
     for panel in panels:
-        panel.legend(loc="upper left")
+        panel.legend("upper left")
     return figure
 
 
 def figure_10():
     material = Material(0.5)
-    history = _history(material, material.steady(0.60), driver.cycles(0.5, 4, "pressure"))
-    return _evolution(10, "cyclic shear at constant pressure", r"$\mu$ = 0.5, amplitude 0.5, from the steady state at $\phi$ = 0.60, closure "
-                      r"full; no DEM run of this project" "\n" r"$p\,d/k$ = " f"{history['p'][0]:.4f}, the model's with the printed "
-                      r"constants; the paper says about 0.01", "phi", history)[0]
+    history = _history(material, material.steady(0.60), *driver.cycles(0.5, 4, "pressure"))
+    notes = (r"$\mu$ = 0.5, closure full, constant pressure, amplitude 0.5, from the steady state at $\phi$ = 0.60; " + NO_DEM,
+             rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure with the printed constants; the paper says about 0.01")
+    return _evolution(10, "cyclic simple shear at constant pressure", notes, "phi", history)[0]
 
 
 def figure_11():
     material = Material(0.5)
-    state = material.isotropic(0.612, pressure=0.01)
-    history = _history(material, state, [driver.shear(4, "pressure", 800)])
-    end = driver.run(material, state, [driver.shear(40, "pressure", 4000)])["phi"][-1]
-    figure, panels = _evolution(11, "Reynolds dilatancy", r"$\mu$ = 0.5, isotropic at $\phi$ = 0.612, sheared at constant pressure "
-                                r"$p\,d/k$ = 0.01, closure full; no DEM run of this project", "phi", history)
-    _level(panels[0], end, f"model, steady: {end:.4f}", color=RED, linestyle="--")
-    _level(panels[0], 0.602, "the paper's DEM, steady: about 0.602", color=BLUE, linestyle=":")
-    panels[0].axes.set_ylim(0.6010, 0.6135)
+    start = material.isotropic(0.612, pressure=0.01)
+    steady = driver.run(material, start, [driver.shear(40, "pressure", 2000)])["phi"][-1]
+    notes = (r"$\mu$ = 0.5, closure full, constant pressure $p\,d/k$ = 0.01, from an isotropic state at $\phi$ = 0.612; " + NO_DEM,)
+    figure, panels = _evolution(11, "Reynolds dilatancy", notes, "phi", _history(material, start, driver.shear(4, "pressure", 800)))
+    axes = panels[0].axes
+    for phi, text, colour in ((steady, f"the model's steady state, {steady:.4f}", RED), (0.602, "the paper's DEM, about 0.602", BLUE)):
+        axes.axhline(phi, color=colour, linewidth=0.9, linestyle="--")
+        axes.text(4, phi - 2e-4, text, fontsize=7.5, ha="right", va="top")
+    axes.set_ylim(0.601, 0.613)
     return figure
 
 
 def figure_13():
-    figure, panels = _sheet(13, "stress components of steady simple shear", r"$\mu$ = 0.5, closure full: the model's do not depend on "
-                            r"$\phi$; DEM: constant volume, $\phi$ = 0.60, two runs", [("phi", "normal/p"), ("phi", "shear/p")])
-    for panel, components in zip(panels, (("sigma_xx", "sigma_yy", "sigma_zz"), ("sigma_xz", "sigma_xy", "sigma_yz"))):
-        _steady_stresses(panel, 0.5, "full", components)
-        panel.legend(loc="center right")
-    panels[0].axes.set_ylim(0.85, 1.15)
-    return figure
+    notes = (r"$\mu$ = 0.5, closure full: the model's lines do not depend on $\phi$; DEM: constant volume, two runs",)
+    return _stress_figure(13, "stresses of steady simple shear", notes, "full", ("normal", 0.5), ("shear", 0.5))
 
 
 def figure_14():
-    notes = (r"closure n2, $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, solid: $\mu$ = 0.5, dashed: $\mu$ = 0.1, "
-             r"DEM: $\phi$ = 0.60 for $\mu$ = 0.5, 0.63 for 0.1" "\n" r"(b) $\mu$ = 0.5, $\phi$ = 0.60, constant volume, reversal at 1")
-    figure, (steady, reversal) = _sheet(14, "normal stresses, second difference only", notes,
-                                        [("phi", "normal/p"), ("strain", "normal/p")])
-    components = ("sigma_13", "sigma_yy")
-    _steady_stresses(steady, 0.5, "n2", components)
-    _steady_stresses(steady, 0.1, "n2", components, linestyle="--", label=None)
-    steady.legend(loc="lower right")
-    _reversal_stresses(reversal, "n2", components)
-    return figure
+    notes = (r"closure n2; $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, solid and DEM at $\phi$ = 0.60: $\mu$ = 0.5, "
+             r"dashed and DEM at $\phi$ = 0.63: $\mu$ = 0.1", "(b) " + REVERSAL)
+    return _stress_figure(14, "normal stresses without their first difference", notes, "n2",
+                          ("normal, two", 0.5, 0.1), ("normal, two",))
 
 
 def figure_15():
-    components = ("sigma_xx", "sigma_yy", "sigma_zz")
-    differences = [f"{name} {(c['sigma_xx'] - c['sigma_zz']) / c['p']:+.3f} and {(c['sigma_zz'] - c['sigma_yy']) / c['p']:+.3f}"
-                   for name, c in [("model", {k: v[0] for k, v in _steady(Material(0.5)).items()})]
-                   + [("DEM", run.mean) for run in dem_runs(0.5)]]
-    notes = (r"closure full; (a, b) steady shear, $\mu$ = 0.5 and 0.1; (c) $\mu$ = 0.5, $\phi$ = 0.60, constant volume, reversal at 1" "\n"
-             r"$N_1/p$ and $N_2/p$ at $\mu$ = 0.5: " + ", ".join(differences))
-    figure, panels = _sheet(15, "normal stresses, both differences", notes, [("phi", "normal/p")] * 2 + [("strain", "normal/p")], 3)
-    for panel, mu in zip(panels, (0.5, 0.1)):
-        _steady_stresses(panel, mu, "full", components)
-        panel.legend(loc="center right")
-    _reversal_stresses(panels[2], "full", components)
-    return figure
+    notes = (r"closure full; (a) steady shear, $\mu$ = 0.5; (b) steady shear, $\mu$ = 0.1; (c) " + REVERSAL,)
+    return _stress_figure(15, "normal stresses with both differences", notes, "full",
+                          ("normal", 0.5), ("normal", 0.1), ("normal",))
 
 
 def figure_16():
-    figure, (third, fourth) = _sheet(16, "constants of the normal stress differences", r"$a_3$: table 1 and the caption agree; $a_4$: three "
-                                     "printed forms, each a named calibration", [("mu", "a3"), ("mu", "a4")], dem=False)
+    notes = (r"$a_4$ is printed in three forms, each a calibration of its own; table-1 is the default",)
+    figure, (third, fourth) = _sheet(16, "constants of the normal stress differences", notes, [("mu", "a3"), ("mu", "a4")],
+                                     colours=(GREY,))
     third.draw(_constants(), color=GREY)
     for calibration, colour in zip(CALIBRATIONS, (GREY, RED, BLUE)):
         fourth.draw(_constants(calibration=calibration), color=colour, label=calibration)
-    fourth.legend(loc="lower right")
+    fourth.legend("lower right")
     return figure
 
 
-FIGURES = {
-    "1": figure_01, "2": figure_02, "4": figure_04, "5": figure_05, "7": figure_07, "8": figure_08, "9": figure_09,
-    "10": figure_10, "11": figure_11, "13": figure_13, "14": figure_14, "15": figure_15, "16": figure_16,
-}
+FIGURES = {"1": figure_01, "2": figure_02, "4": figure_04, "5": figure_05, "7": figure_07, "8": figure_08, "9": figure_09,
+           "10": figure_10, "11": figure_11, "13": figure_13, "14": figure_14, "15": figure_15, "16": figure_16}
 
 
 def draw_figures(out, names=None):
@@ -414,9 +373,9 @@ def draw_figures(out, names=None):
     Parameters
     ----------
     out : path
-        Directory, made if it is not there.
+        Directory; made if need be.
     names : iterable of str or int, optional
-        Numbers of figures, keys of FIGURES; the default is all.
+        Their numbers, keys of FIGURES; the default is all.
 
     Returns
     -------
@@ -425,11 +384,11 @@ def draw_figures(out, names=None):
     Raises
     ------
     ValueError
-        For numbers without a figure, all at once.
+        Names every number that has no figure.
     FileNotFoundError
-        If the package was built without the DEM data.
+        If the DEM data are not in the package.
     """
-    names = [str(name) for name in (FIGURES if names is None else names)]
+    names = list(FIGURES) if names is None else [str(name) for name in names]
     refuse("the figures cannot be drawn", [f"figure {name!r}: must be one of {', '.join(FIGURES)}"
                                            for name in names if name not in FIGURES])
     Path(out).mkdir(parents=True, exist_ok=True)
