@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from granumat import STATE, Material, _core
+from granumat import Material, _core
 from granumat.material import RANGES, status_message
 from granumat.tensors import full, trace
 
@@ -40,7 +40,7 @@ def check(par, old, gradient):
 def test_100_000_random_property_sets_states_and_increments(rng):
     steady = np.array([Material(0.5).steady(0.6)]).view(float).reshape(1, 20)
     seen = np.zeros(20, int)
-    for i in range(100_000):
+    for _ in range(100_000):
         par = _core.core_parameters(rng.random(), *(int(k) for k in rng.integers(0, (5, 2, 3))))
         level = rng.choice([0.0, 0.03, 0.2])
         par[:20] = spoiled(rng, par[:20], level)
@@ -78,18 +78,19 @@ def test_2000_random_property_sets_are_refused_in_words_or_give_a_usable_materia
 
 def test_all_faults_come_in_one_message():
     with pytest.raises(ValueError) as caught:
-        Material(mu=1.5, closure="ful", contact="hooke", friction="quadratic", calibration="table", elastic_strain=-1, zc=3, c3=0, a1="x")
+        Material(mu=1.5, closure="ful", contact="hooke", friction="quadratic", calibration="table", elastic_strain=-1,
+                 zc=3, c3=0, a1="x")
     for words in ("mu = 1.5: must be at least 0 and at most 1", "closure 'ful'", "did you mean 'full'", "contact 'hooke'",
-                  "calibration 'table'", "elastic_strain = -1.0: must be at least 0", "unknown name 'zc'", "c3 = 0.0: must be above 0",
-                  "a1 = 'x': must be a number, above 0", "give b1, b2, b3"):
+                  "calibration 'table'", "elastic_strain = -1.0: must be at least 0", "unknown name 'zc'",
+                  "c3 = 0.0: must be above 0", "a1 = 'x': must be a number, above 0", "give b1, b2, b3"):
         assert words in str(caught.value)
 
 
 def test_all_faults_of_a_state_come_in_one_message(material):
     with pytest.raises(ValueError) as caught:
         material.state(1.2, np.inf, fabric=[0.8, 0, 0, 0, 0, 0], direction=[1, 0, 0, 0, 0], stress=[np.nan] * 6)
-    for words in ("coordination_number = inf", "its trace is 0.8", "eigenvalues of A + I/3", "abs(A) = 0.565685, must be below 0.0584684",
-                  "direction: must be 6 numbers", "stress = [nan"):
+    for words in ("coordination_number = inf", "its trace is 0.8", "eigenvalues of A + I/3",
+                  "abs(A) = 0.565685, must be below 0.0584684", "direction: must be 6 numbers", "stress = [nan"):
         assert words in str(caught.value)
     with pytest.raises(ValueError, match=r"volume_fraction = 1.2: must be in \(0, 1\)"):
         material.state(1.2, 5.0)

@@ -42,6 +42,7 @@ def test_a_failing_path_ends_with_1_names_what_it_left_and_the_left_step_fails_a
 
 
 def test_a_constrained_path_warns_on_screen(tmp_path):
-    (tmp_path / "path.toml").write_text("[initial]\nphi = 0.6\nstate = \"steady\"\n[[step]]\ntest = \"isotropic\"\ncompression = 0.001\n")
+    step = "[[step]]\ntest = \"isotropic\"\ncompression = 0.001\n"
+    (tmp_path / "path.toml").write_text("[initial]\nphi = 0.6\nstate = \"steady\"\n" + step)
     result = granumat("point", "path.toml", "--out", "out", cwd=tmp_path)
     assert result.returncode == 0 and "warning: step 1 (isotropic compression): abs(tr D^) reaches 2.45" in result.stderr

@@ -84,5 +84,6 @@ def test_isotropic_state_has_the_pressure_asked_for():
 def test_b1_term_raises_the_isotropic_pressure():
     # (B 1): a1* = a1 + g tr D^, tr D^ = -sqrt(6) in isotropic compression
     g = -5e-4
-    plain, extra = (Material(0.5, g=value).update(Material(0.5).isotropic(0.60, pressure=0.005), -1e-3 * np.eye(3)) for value in (0.0, g))
+    start = Material(0.5).isotropic(0.60, pressure=0.005)
+    plain, extra = (Material(0.5, g=value).update(start, -1e-3 * np.eye(3)) for value in (0.0, g))
     assert extra.stress[0] / plain.stress[0] == pytest.approx((0.0073 - np.sqrt(6) * g) / 0.0073, rel=1e-12)

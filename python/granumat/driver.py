@@ -84,9 +84,9 @@ class Step:
                 faults.append(f"velocity_gradient = {self.gradient!r}: must be a 3 x 3 matrix of finite numbers, or a function")
         modes, functionals = [], []
         for text in self.free:
-            _collect(lambda: modes.append(linear_combination(text, STRAINS)), faults)
+            modes += _collected(faults, linear_combination, text, STRAINS)
         for text, value in self.stress.items():
-            _collect(lambda: functionals.append(linear_combination(text, STRESSES)), faults)
+            functionals += _collected(faults, linear_combination, text, STRESSES)
             if value != "hold" and not (is_number(value) and np.isfinite(value)):
                 faults.append(f"stress {text!r} = {value!r}: must be a finite number or \"hold\"")
         if len(self.free) != len(self.stress):
@@ -96,7 +96,7 @@ class Step:
             if vectors and np.linalg.matrix_rank(vectors) < len(vectors):
                 faults.append(f"{kind} {', '.join(self.free if vectors is modes else self.stress)}: not independent")
         if self.until:
-            _collect(lambda: stop_condition(self.until), faults)
+            _collected(faults, stop_condition, self.until)
         refuse(f"the step {self.name!r} cannot be made", faults)
 
     @property
@@ -128,11 +128,13 @@ class Step:
         return np.linspace(start, np.array(end, float).reshape(start.shape), self.increments + 1)
 
 
-def _collect(action, faults):
+def _collected(faults, function, *arguments):
+    """[result], or [] and one more fault."""
     try:
-        action()
+        return [function(*arguments)]
     except ValueError as error:
         faults.append(str(error))
+        return []
 
 
 # ---- names of strains and stresses ---------------------------------------------------------------------------------
@@ -407,8 +409,8 @@ def _run_step(recorder, number, step, tolerance, progress):
         if status:
             done = first + len(states)
             stress = {name: float(value) for name, value in zip(step.stress, targets[done + 1])}
-            recorder.failing = replace(step, gradient=gradients[done], strain=1.0, increments=1, stress=stress, until="", table=None,
-                                       shear=False)
+            recorder.failing = replace(step, gradient=gradients[done], strain=1.0, increments=1, stress=stress, until="",
+                                       table=None, shear=False)
             raise PathError(f"step {number} ({step.name}), increment {done + 1} of {n}: {status_message(status)}; "
                             + _where(material, recorder.state), recorder.history())
         if progress:

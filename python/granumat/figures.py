@@ -4,9 +4,9 @@ What is drawn is always a dict of columns, named as in granumat.driver and compl
 """
 
 import re
-from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,21 +18,16 @@ from .material import CALIBRATIONS, STATE, Material, refuse
 
 BLUE, RED, GREEN, PURPLE, ORANGE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "0.25"     # Okabe & Ito
 MU_COLOURS = {0.0: PURPLE, 0.1: GREEN, 0.3: ORANGE, 0.5: BLUE, 1.0: RED}
-STRESSES = {            # what a panel shows: component, colour, symbol
-    "normal": (("sigma_xx/p", BLUE, r"$\sigma_{xx}$"), ("sigma_yy/p", RED, r"$\sigma_{yy}$"), ("sigma_zz/p", GREEN, r"$\sigma_{zz}$")),
-    "normal, two": (("sigma_13/p", BLUE, r"$\bar\sigma_{13}$"), ("sigma_yy/p", RED, r"$\sigma_{yy}$")),
-    "shear": (("sigma_xz/p", BLUE, r"$\sigma_{xz}$"), ("sigma_xy/p", RED, r"$\sigma_{xy}$"), ("sigma_yz/p", GREEN, r"$\sigma_{yz}$")),
-}
+STRESSES = {"normal": ("xx", "yy", "zz"), "normal, two": ("13", "yy"), "shear": ("xz", "xy", "yz")}      # of a panel
 DEM = "DEM (this project's runs, 2000 spheres, one realisation each)"
 POINTS = {"linestyle": "none", "marker": "o", "markersize": 4.5, "markerfacecolor": "none", "markeredgewidth": 0.9}
 DOTS = POINTS | {"markersize": 2.2, "markeredgewidth": 0.5, "markevery": 4}        # of the rows of a run
 
 LABELS = {
     "mu": r"interparticle friction coefficient $\mu$", "strain": r"accumulated shear strain $\dot\gamma_0 t$",
-    "time": r"accumulated shear strain $\dot\gamma_0 t$ (paused for $1<\dot\gamma_0 t<2$)",
-    "p": r"pressure $p\,d/k$", "phi": r"volume fraction $\phi$", "stress_ratio": r"stress ratio $-\sigma_{xz}/p$",
-    "Z2": r"coordination number $Z_2$", "A_xz": r"fabric $A_{xz}$", "eta": r"friction coefficient $\eta$",
-    "Z2-Zc": r"$Z_2-Z_c$", "(Z2-Zc)^2": r"$(Z_2-Z_c)^2$", "(phi-phic)^1/2": r"$(\phi-\phi_c)^{1/2}$",
+    "time": r"strain $\dot\gamma_0 t$ (no shear from 1 to 2)", "p": r"pressure $p\,d/k$", "phi": r"volume fraction $\phi$",
+    "stress_ratio": r"stress ratio $-\sigma_{xz}/p$", "Z2": r"coordination number $Z_2$", "A_xz": r"fabric $A_{xz}$",
+    "eta": r"friction coefficient $\eta$", "Z2-Zc": r"$Z_2-Z_c$", "(Z2-Zc)^2": r"$(Z_2-Z_c)^2$", "(phi-phic)^1/2": r"$(\phi-\phi_c)^{1/2}$",
     "normal": r"normal stress $\sigma/p$", "normal, two": r"normal stress $\sigma/p$", "shear": r"shear stress $\sigma/p$",
     "Zc": r"critical coordination number $Z_c$", "a2": r"$a_2$ in (4.2)", "phic": r"critical volume fraction $\phi_c$",
     "b": r"$b_1$, $b_2$ in (4.5)", "a3": r"$a_3$ in (A 1)", "a4": r"$a_4$ in (A 4)",
@@ -68,20 +63,13 @@ def _steady(material, distances=np.linspace(0.02, 0.2, 46)):
     return _derived(driver.state_columns(material, np.array(states, STATE)), material)
 
 
-def _isotropic(material):
-    """Columns of isotropic states from Zc up; their volume fraction does not matter."""
-    states = [material.isotropic(0.6, coordination_number=material["Zc"] + x) for x in np.linspace(0, 1.8, 61)]
-    return driver.state_columns(material, np.array(states, STATE))
-
-
 def _constants(**definition):
     """Columns of the constants against mu."""
     materials = [Material(mu, **definition) for mu in np.linspace(0, 1, 101).tolist()]
     return {name: np.array([material[name] for material in materials]) for name in materials[0].constants}
 
 
-@dataclass(frozen=True)
-class Run:
+class Run(NamedTuple):
     """A DEM run at constant volume: columns of its slow shear, of the part after the reversal, means of the part before."""
 
     shear: dict
@@ -125,8 +113,7 @@ def quadratic_friction(runs):
 
 # ---- panels ----------------------------------------------------------------------------------------------------------
 
-@dataclass(frozen=True)
-class Panel:
+class Panel(NamedTuple):
     """Axes and the names of the columns they show."""
 
     axes: Axes
@@ -141,10 +128,9 @@ class Panel:
 
     def inset(self, bounds, label, limits):
         """Small axes for a constant against mu."""
-        axes = self.axes.inset_axes(bounds)
-        axes.set(xlim=(0, 1), ylim=limits, xticks=(0, 0.5, 1))
-        axes.set_xlabel(r"$\mu$", fontsize=7, labelpad=0)
-        axes.set_ylabel(label, fontsize=7, labelpad=1)
+        axes = self.axes.inset_axes(bounds, xlim=(0, 1), ylim=limits, xticks=(0, 0.5, 1))
+        axes.set_xlabel(r"$\mu$", fontsize=8, labelpad=0)
+        axes.set_ylabel(label, fontsize=8, labelpad=1)
         axes.tick_params(labelsize=6)
         return axes
 
@@ -163,9 +149,7 @@ def _sheet(number, title, notes, names, columns=2, colours=(GREY, GREY)):
                   fontsize=8, frameon=False, borderaxespad=0)
     panels = []
     for i, (x, y) in enumerate(names):
-        axes = figure.add_subplot(rows, columns, i + 1)
-        axes.set_xlabel(LABELS[x], fontsize=9)
-        axes.set_ylabel(LABELS[y], fontsize=9)
+        axes = figure.add_subplot(rows, columns, i + 1, xlabel=LABELS[x], ylabel=LABELS[y])
         axes.set_title(f"({'abcd'[i]})" if len(names) > 1 else "", loc="left", fontsize=9)
         axes.tick_params(labelsize=8)
         axes.grid(linewidth=0.3)
@@ -181,15 +165,27 @@ def _evolution(number, title, notes, first, history, runs=(), x="strain"):
         for run in runs:
             panel.draw(run.shear, color=BLUE, **DOTS)
         panel.draw(history, color=RED)
-    return figure, panels
+    return figure
+
+
+def _steady_by_friction(panels):
+    """Steady simple shear, one colour for each mu."""
+    for mu, colour in MU_COLOURS.items():
+        steady, runs = _steady(Material(mu)), dem_runs(mu)
+        for panel in panels:
+            panel.draw(steady, color=colour, label=rf"$\mu$ = {mu:g}")
+            for run in runs:
+                panel.draw(run.steady, color=colour, **POINTS)
+            panel.legend("upper left")
 
 
 def _stresses(panel, model, runs, points, line="-"):
     """The stresses of a panel, scaled by the pressure."""
-    for name, colour, symbol in STRESSES[panel.y]:
+    for axis, colour in zip(STRESSES[panel.y], (BLUE, RED, GREEN)):
         for run in runs:
-            panel.draw(run, name, color=colour, **points)
-        panel.draw(model, name, color=colour, linestyle=line, label=symbol if line == "-" else None)
+            panel.draw(run, f"sigma_{axis}/p", color=colour, **points)
+        label = rf"$\bar\sigma_{{{axis}}}$" if axis == "13" else rf"$\sigma_{{{axis}}}$"
+        panel.draw(model, f"sigma_{axis}/p", color=colour, linestyle=line, label=label if line == "-" else None)
     panel.axes.set_ylim(None if panel.y == "shear" else (0.87, 1.13))
     panel.legend("center" if panel.y == "shear" else "upper center", ncol=3)
 
@@ -218,34 +214,30 @@ def figure_01():
     history = _history(material, material.steady(0.60), driver.shear(1), driver.pause(), driver.shear(-2, increments=400))
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear; DEM: two runs",
              "the model's stress follows from its state at once: its stress ratio jumps at the reversal")
-    return _evolution(1, "unsteady simple shear at constant volume", notes, "p", history, dem_runs(0.5), "time")[0]
+    return _evolution(1, "unsteady simple shear at constant volume", notes, "p", history, dem_runs(0.5), "time")
 
 
 def figure_02():
     history = _reversal(Material(0.5), "pressure")
     notes = (r"$\mu$ = 0.5, closure full, constant pressure, reversal at 1; " + NO_DEM,
              rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure at $\phi$ = 0.60")
-    return _evolution(2, "shear reversal at constant pressure", notes, "phi", history)[0]
+    return _evolution(2, "shear reversal at constant pressure", notes, "phi", history)
 
 
 def figure_04():
-    notes = ("closure full; (a) solid: steady simple shear, dashed: isotropic; (b) isotropic; (c, d) steady simple shear", DEM_POINTS)
+    notes = ("closure full; (a) solid, (c), (d): steady simple shear; (a) dashed, (b): isotropic; colours as in (c)", DEM_POINTS)
     figure, panels = _sheet(4, "pressure against coordination number", notes, [("Z2", "p")] * 3 + [("(Z2-Zc)^2", "p")])
     for mu, colour in MU_COLOURS.items():
-        isotropic, steady = _isotropic(Material(mu)), _steady(Material(mu))
-        style = {"color": colour, "label": rf"$\mu$ = {mu:g}"}
+        material = Material(mu)
+        states = [material.isotropic(0.6, coordination_number=material["Zc"] + x) for x in np.linspace(0, 1.8, 61)]   # any phi
+        isotropic = driver.state_columns(material, np.array(states, STATE))
         if mu in (0.1, 0.5):
             panels[0].draw(isotropic, color=colour, linestyle="--")
-            panels[0].draw(steady, **style)
+            panels[0].draw(_steady(material), color=colour)
         panels[1].draw(isotropic, color=colour)
-        for panel in panels[2:]:
-            panel.draw(steady, **style)
-            for run in dem_runs(mu):
-                panel.draw(run.steady, color=colour, **POINTS)
-    for panel in (panels[0], *panels[2:]):
-        panel.legend("upper left")
+    _steady_by_friction(panels[2:])
     constants = _constants()
-    panels[1].inset((0.13, 0.58, 0.24, 0.38), "$a_1$", (0, 0.015)).plot(constants["mu"], constants["a1"], color=GREY)
+    panels[1].inset((0.15, 0.62, 0.22, 0.34), "$a_1$", (0, 0.015)).plot(constants["mu"], constants["a1"], color=GREY)
     return figure
 
 
@@ -259,10 +251,10 @@ def figure_05():
 
 
 def figure_07():
-    runs, material = dem_runs(0.5), Material(0.5)
+    runs = dem_runs(0.5)
     fit = quadratic_friction(runs)
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full; model: reversed twice, DEM: reversed once",
-             "(4.5) with table 1's constants; (4.6) with constants not printed, here a least-squares fit to the DEM after reversal:",
+             "(4.5) with table 1's constants; (4.6) with none printed, here a least-squares fit to the DEM after reversal:",
              ", ".join(rf"$\hat b_{name[1]} = {value:.3g}$" for name, value in fit.items()))
     figure, [panel] = _sheet(7, "stress ratio against fabric", notes, [("A_xz", "stress_ratio")], 1, (RED, BLUE))
     for run in runs:
@@ -281,8 +273,8 @@ def figure_08():
     c = _constants()
     c["eta"] = np.array([_steady(Material(mu), [0.1])["eta"][0] for mu in c["mu"].tolist()])
     c |= {"b1 + b2 chi": c["b1"] + c["b2"] * c["chi"], "printed": 0.41 - 0.3 * np.exp(-6 * c["mu"])}
-    friction.draw(c, color=GREY, label="model, steady shear")
-    friction.draw(c, "b1 + b2 chi", color=RED, linestyle="--", label=r"model, $b_1+b_2\chi$ (A 12), which neglects the spin")
+    friction.draw(c, color=GREY, label="steady shear")
+    friction.draw(c, "b1 + b2 chi", color=RED, linestyle="--", label=r"$b_1+b_2\chi$ (A 12), which neglects the spin")
     friction.draw(c, "printed", color=BLUE, linestyle=":", linewidth=2, label=r"printed fit $0.41-0.3\,e^{-6\mu}$")
     for run in dem_runs(*MU_COLOURS):
         friction.draw(run.steady, "stress_ratio", color=GREY, **POINTS)
@@ -294,21 +286,14 @@ def figure_08():
 
 
 def figure_09():
-    notes = (r"closure full; (b) the model's lines coincide, slightly below $7.5\,(\phi-\phi_c)^{1/2}$ because of the spin",
+    notes = (r"closure full; (b) all five lines coincide, slightly below $7.5\,(\phi-\phi_c)^{1/2}$ because of the spin",
              DEM_POINTS, r"$Z_c$ and $\phi_c$ of the DEM points in (b) and in the inset are the fits of table 1")
     figure, panels = _sheet(9, "coordination number of steady simple shear", notes, [("phi", "Z2"), ("(phi-phic)^1/2", "Z2-Zc")])
+    _steady_by_friction(panels)
     inset = panels[0].inset((0.72, 0.17, 0.26, 0.30), r"$\beta_1$", (6, 10))
     inset.plot((0, 1), (Material()["beta1"],) * 2, color=GREY)
-    for mu, colour in MU_COLOURS.items():
-        runs = dem_runs(mu)
-        for panel in panels:
-            panel.draw(_steady(Material(mu)), color=colour, label=rf"$\mu$ = {mu:g}")
-            for run in runs:
-                panel.draw(run.steady, color=colour, **POINTS)
-        for run in runs:
-            inset.plot(mu, run.steady["Z2-Zc"] / run.steady["(phi-phic)^1/2"], color=colour, **POINTS)
-    for panel in panels:
-        panel.legend("upper left")
+    for run in dem_runs(*MU_COLOURS):
+        inset.plot(run.steady["mu"], run.steady["Z2-Zc"] / run.steady["(phi-phic)^1/2"], color=GREY, **POINTS)
     return figure
 
 
@@ -316,18 +301,18 @@ def figure_10():
     material = Material(0.5)
     history = _history(material, material.steady(0.60), *driver.cycles(0.5, 4, "pressure"))
     notes = (r"$\mu$ = 0.5, closure full, constant pressure, amplitude 0.5, from the steady state at $\phi$ = 0.60; " + NO_DEM,
-             rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure with the printed constants; the paper says about 0.01")
-    return _evolution(10, "cyclic simple shear at constant pressure", notes, "phi", history)[0]
+             rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure, with the printed constants; the paper has about 0.01")
+    return _evolution(10, "cyclic simple shear at constant pressure", notes, "phi", history)
 
 
 def figure_11():
     material = Material(0.5)
     start = material.isotropic(0.612, pressure=0.01)
     steady = driver.run(material, start, [driver.shear(40, "pressure", 2000)])["phi"][-1]
-    notes = (r"$\mu$ = 0.5, closure full, constant pressure $p\,d/k$ = 0.01, from an isotropic state at $\phi$ = 0.612; " + NO_DEM,)
-    figure, panels = _evolution(11, "Reynolds dilatancy", notes, "phi", _history(material, start, driver.shear(4, "pressure", 800)))
-    axes = panels[0].axes
-    for phi, text, colour in ((steady, f"the model's steady state, {steady:.4f}", RED), (0.602, "the paper's DEM, about 0.602", BLUE)):
+    notes = (r"$\mu$ = 0.5, closure full, constant pressure $p\,d/k$ = 0.01, isotropic start at $\phi$ = 0.612; " + NO_DEM,)
+    figure = _evolution(11, "Reynolds dilatancy", notes, "phi", _history(material, start, driver.shear(4, "pressure", 800)))
+    axes = figure.axes[0]
+    for phi, text, colour in ((steady, f"model, steady: {steady:.4f}", RED), (0.602, "the paper's DEM, steady: about 0.602", BLUE)):
         axes.axhline(phi, color=colour, linewidth=0.9, linestyle="--")
         axes.text(4, phi - 2e-4, text, fontsize=7.5, ha="right", va="top")
     axes.set_ylim(0.601, 0.613)
@@ -340,8 +325,8 @@ def figure_13():
 
 
 def figure_14():
-    notes = (r"closure n2; $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, solid and DEM at $\phi$ = 0.60: $\mu$ = 0.5, "
-             r"dashed and DEM at $\phi$ = 0.63: $\mu$ = 0.1", "(b) " + REVERSAL)
+    notes = (r"closure n2; $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, solid and DEM at $\phi$ = 0.60: "
+             r"$\mu$ = 0.5, dashed and DEM at $\phi$ = 0.63: $\mu$ = 0.1", "(b) " + REVERSAL)
     return _stress_figure(14, "normal stresses without their first difference", notes, "n2",
                           ("normal, two", 0.5, 0.1), ("normal, two",))
 

@@ -249,7 +249,7 @@ class Material:
         gradient : array (..., 3, 3)
             du_i/dx_j of the increment; its skew part is the spin.
         out : record array (...) of dtype STATE, contiguous, optional
-            Receives the result.
+            Receives the result; may be `states` itself.
 
         Returns
         -------
@@ -268,6 +268,8 @@ class Material:
         new = np.empty(shape, STATE) if out is None else out
         if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
             raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
+        if np.may_share_memory(old, new):
+            old = old.copy()                                     # the core may not read what it writes
         status = np.zeros(old.size, np.int32)
         _core.core_update(self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status)
         records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]

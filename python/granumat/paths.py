@@ -57,15 +57,15 @@ def read_path_file(path):
             raise ValueError(f"{path}: not a TOML file: {error}") from None
     faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance"
               for name in content if name not in ("material", "initial", "step", "tolerance")]
-    material = _attempt(lambda: Material(**_table(content, "material")), faults)
-    state = _attempt(lambda: _initial(material, _table(content, "initial")), faults)
+    material = _attempt(faults, "", _material, content)
+    state = _attempt(faults, "", _initial, material, content)
     entries = content.get("step", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         faults.append("no steps: give at least one [[step]]")
         entries = []
     steps = []
     for number, entry in enumerate(entries, 1):
-        steps += _attempt(lambda: read_step(entry, path.parent), faults, f"step {number}: ") or []
+        steps += _attempt(faults, f"step {number}: ", read_step, entry, path.parent) or []
     tolerance = content.get("tolerance", driver.TOLERANCE)
     if not is_number(tolerance) or not 0 < tolerance < 1:
         faults.append(f"tolerance = {tolerance!r}: must be a number in (0, 1)")
@@ -73,9 +73,10 @@ def read_path_file(path):
     return PathFile(material, state, steps, tolerance)
 
 
-def _attempt(action, faults, prefix=""):
+def _attempt(faults, prefix, function, *arguments):
+    """The result, or None and one more fault."""
     try:
-        return action()
+        return function(*arguments)
     except (ValueError, OSError) as error:
         faults.append(prefix + str(error).replace("\n", "\n  "))
         return None
@@ -88,7 +89,12 @@ def _table(content, name):
     return table
 
 
-def _initial(material, table):
+def _material(content):
+    return Material(**_table(content, "material"))
+
+
+def _initial(material, content):
+    table = _table(content, "initial")
     kind = table.get("state")
     if kind not in INITIAL:
         raise ValueError(f"[initial]: state = {kind!r}: must be one of {', '.join(INITIAL)}")
