@@ -3,7 +3,7 @@ module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
   use granumat_batch, only: update_batch
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
-    are_valid, constant_name, CLOSED, LOWER, N_CONSTANTS, NAME_LENGTH, UPPER
+    are_valid, N_CONSTANTS, NAME_LENGTH, RANGES
   use granumat_path, only: follow_path
   use granumat_state, only: material_state
   use granumat_stress, only: evaluate
@@ -34,10 +34,10 @@ contains
     character(kind=c_char), intent(out) :: name(NAME_LENGTH)
     real(c_double), intent(out) :: lower_bound, upper_bound
     integer(c_int), intent(out) :: closed_bounds
-    name = transfer(constant_name(i), name)
-    lower_bound = LOWER(i)
-    upper_bound = UPPER(i)
-    closed_bounds = merge(1, 0, CLOSED(i))
+    name = transfer(RANGES(i)%name, name)
+    lower_bound = RANGES(i)%lower
+    upper_bound = RANGES(i)%upper
+    closed_bounds = merge(1, 0, RANGES(i)%closed)
   end subroutine core_range
 
   subroutine core_message(status, message) bind(c)

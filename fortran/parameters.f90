@@ -8,7 +8,7 @@ module granumat_parameters
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid, constant_name
+  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid
 
   !> The numbers of a material; the first N_CONSTANTS are the user's to override, the rest follows from them.
   type, public, bind(c) :: material_parameters
@@ -34,18 +34,35 @@ module granumat_parameters
 
   integer, parameter, public :: N_CONSTANTS = 20, NAME_LENGTH = 16
 
-  character(len=NAME_LENGTH), parameter :: NAMES(N_CONSTANTS) = [character(len=NAME_LENGTH) :: &
-    'mu', 'a1', 'a2', 'a3', 'a4', 'b1', 'b2', 'b3', 'Zc', 'phic', 'c1', 'c2', 'c3', 'd1', 'd2', 'd3', &
-    'beta1', 'beta2', 'g', 'elastic_strain']
+  !> What a constant may be: between the bounds, on them too where closed.
+  type, public :: constant_range
+    character(len=NAME_LENGTH) :: name
+    real(dp) :: lower, upper
+    logical :: closed
+  end type constant_range
 
-  ! Allowed: between LOWER and UPPER; on these too where CLOSED.
-  real(dp), parameter :: INFTY = huge(1.0_dp)
-  real(dp), parameter, public :: LOWER(N_CONSTANTS) = [real(dp) :: &
-    0, 0, -INFTY, -INFTY, -INFTY, -INFTY, -INFTY, -INFTY, 0, 0, -INFTY, -INFTY, 0, -INFTY, 0, -INFTY, 0, 0, -INFTY, 0]
-  real(dp), parameter, public :: UPPER(N_CONSTANTS) = [real(dp) :: &
-    1, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, 1, 0, 0, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY, INFTY]
-  logical, parameter, public :: CLOSED(N_CONSTANTS) = [.true., .false., .false., .false., .false., .false., .false., &
-    .false., .false., .false., .false., .true., .false., .false., .true., .false., .true., .false., .false., .true.]
+  real(dp), parameter :: UNBOUNDED = huge(1.0_dp)
+  type(constant_range), parameter, public :: RANGES(N_CONSTANTS) = [ &
+    constant_range("mu",             0.0_dp,     1.0_dp,     .true.), &
+    constant_range("a1",             0.0_dp,     UNBOUNDED,  .false.), &
+    constant_range("a2",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("a3",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("a4",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("b1",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("b2",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("b3",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("Zc",             0.0_dp,     UNBOUNDED,  .false.), &
+    constant_range("phic",           0.0_dp,     1.0_dp,     .false.), &
+    constant_range("c1",             -UNBOUNDED, 0.0_dp,     .false.), &
+    constant_range("c2",             -UNBOUNDED, 0.0_dp,     .true.), &
+    constant_range("c3",             0.0_dp,     UNBOUNDED,  .false.), &
+    constant_range("d1",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("d2",             0.0_dp,     UNBOUNDED,  .true.), &
+    constant_range("d3",             -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("beta1",          0.0_dp,     UNBOUNDED,  .true.), &
+    constant_range("beta2",          0.0_dp,     UNBOUNDED,  .false.), &
+    constant_range("g",              -UNBOUNDED, UNBOUNDED,  .false.), &
+    constant_range("elastic_strain", 0.0_dp,     UNBOUNDED,  .true.)]
 
 contains
 
@@ -121,8 +138,8 @@ contains
     constants = [real(dp) :: par%mu, par%a1, par%a2, par%a3, par%a4, par%b1, par%b2, par%b3, par%Zc, par%phic, par%c1, par%c2, &
       par%c3, par%d1, par%d2, par%d3, par%beta1, par%beta2, par%g, par%elastic_strain]
     inside = ieee_is_finite(constants)
-    where (inside) inside = (constants > LOWER .and. constants < UPPER) &
-      .or. (CLOSED .and. (constants >= LOWER .and. constants <= UPPER))
+    where (inside) inside = (constants > RANGES%lower .and. constants < RANGES%upper) &
+      .or. (RANGES%closed .and. constants >= RANGES%lower .and. constants <= RANGES%upper)
     faulty = .not. inside
   end function faulty_constants
 
@@ -133,11 +150,5 @@ contains
     valid = .not. any(faulty_constants(par)) .and. all(ieee_is_finite([par%chi, par%kappa, par%lambda, par%fabric_limit]))
     if (valid) valid = par%kappa > 0
   end function are_valid
-
-  pure function constant_name(i) result(name)
-    integer, intent(in) :: i
-    character(len=NAME_LENGTH) :: name
-    name = NAMES(i)
-  end function constant_name
 
 end module granumat_parameters

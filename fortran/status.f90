@@ -26,27 +26,27 @@ contains
 
     select case (status)
     case (OK)
-      message = 'done'
+      message = "done"
     case (NOT_FINITE)
-      message = 'the state or the increment holds a value that is not finite'
+      message = "the state or the increment holds a value that is not finite"
     case (BAD_PARAMETERS)
-      message = 'a material constant is outside its range'
+      message = "a material constant is outside its range"
     case (BAD_VOLUME_FRACTION)
-      message = 'the volume fraction is, or would become, outside (0, 1)'
+      message = "the volume fraction is, or would become, outside (0, 1)"
     case (BAD_FABRIC)
-      message = 'the fabric is not realisable: eigenvalues of A + I/3 outside [0, 1], or A not traceless'
+      message = "the fabric is not realisable: eigenvalues of A + I/3 outside [0, 1], or A not traceless"
     case (INCREMENT_TOO_LARGE)
-      message = 'the increment is beyond what one update integrates: more than 10000 inner steps'
+      message = "the increment is beyond what one update integrates: more than 10000 inner steps"
     case (FABRIC_BLOWS_UP)
-      message = 'the fabric equation (4.7) blows up within the increment'
+      message = "the fabric equation (4.7) blows up within the increment"
     case (TENSILE_PRESSURE)
-      message = 'a1 + a2 abs(A) + g tr D^ is negative: the pressure would be tensile'
+      message = "a1 + a2 abs(A) + g tr D^ is negative: the pressure would be tensile"
     case (RESULT_NOT_FINITE)
-      message = 'the result is not finite'
+      message = "the result is not finite"
     case (TARGET_NOT_REACHED)
-      message = 'the prescribed stress cannot be reached, however small the increment'
+      message = "the prescribed stress cannot be reached, however small the increment"
     case default
-      message = 'unknown status'
+      message = "unknown status"
     end select
   end function status_message
 

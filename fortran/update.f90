@@ -15,7 +15,7 @@ module granumat_update
   private
   public :: update
 
-  real(dp), parameter :: STEP_RATE = 0.6_dp      ! inner step per rate: 5 Gauss points then err by 1e-13 at most (tests/test_exact.py)
+  real(dp), parameter :: STEP_RATE = 0.6_dp      ! rate times inner step: 5 Gauss points then err by 1e-13 (tests/test_exact.py)
   integer, parameter :: MAX_STEPS = 10000
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
   real(dp), parameter :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)

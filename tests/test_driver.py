@@ -25,7 +25,7 @@ def test_controls_hold_their_stresses_through_a_reversal(closure, elastic_strain
 
 
 def test_basic_closure_has_no_path_under_constant_normal_load_after_a_reversal():
-    # it loses well-posedness there: eta = -0.10, so sigma_zz = p (1 - eta S^_zz) falls when the point compacts: the branch that holds it runs away
+    # eta = -0.10 there, so sigma_zz = p (1 - eta S^_zz) falls when the point compacts: the branch that holds it runs away
     material = Material(0.5, "basic")
     with pytest.raises(PathError, match="cannot be reached"):
         driver.run(material, material.steady(0.60), [driver.shear(-0.5, "normal-load")])
