@@ -4,9 +4,9 @@ import threading
 
 import numpy as np
 import pytest
-from test_invariants import random_states
 
 from granumat import STATE, Material, MaterialError
+from test_invariants import random_states
 
 
 @pytest.mark.parametrize("elastic_strain", [0.0, 1e-3])

@@ -4,9 +4,9 @@ import subprocess
 import sys
 
 import numpy as np
-from test_path_files import EXAMPLE
 
 from granumat import driver
+from test_path_files import EXAMPLE
 
 
 def granumat(*arguments, cwd):

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-import reference
 from scipy.integrate import solve_ivp
 
+import reference
 from granumat import ConstrainedDeformationWarning, Material, PathError, driver, tensors
 
 HOLD = 1e-9      # of the stress held: ten times path.f90's STRESS_TOLERANCE

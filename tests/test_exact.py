@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import reference
 
+import reference
 from granumat import STATE, Material, tensors
 
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)

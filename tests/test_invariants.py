@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from reference import random_increments
 
 from granumat import STATE, Material, tensors
+from reference import random_increments
 
 
 def random_states(rng, material, n, shear, **sampling):

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import reference
 
+import reference
 from granumat import Material
 
 MUS = np.linspace(0, 1, 11)

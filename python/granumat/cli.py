@@ -29,7 +29,7 @@ def main(arguments=None):
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
         {"point": run_point, "figures": run_figures, "bench": run_bench}[options.command](options)
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         print(f"granumat: {error}", file=sys.stderr)
         return 2
     except GranumatError as error:

@@ -173,7 +173,7 @@ def controlled(control):
     if control not in CONTROLS:
         raise ValueError(f"control {control!r}: must be one of {', '.join(CONTROLS)}")
     free, held = CONTROLS[control]
-    return {"free": free, "stress": {name: "hold" for name in held}}
+    return {"free": free, "stress": dict.fromkeys(held, "hold")}
 
 
 def shear(strain, control="volume", increments=200, until=""):

@@ -27,7 +27,8 @@ LABELS = {
     "mu": r"interparticle friction coefficient $\mu$", "strain": r"accumulated shear strain $\dot\gamma_0 t$",
     "time": r"strain $\dot\gamma_0 t$ (no shear from 1 to 2)", "p": r"pressure $p\,d/k$", "phi": r"volume fraction $\phi$",
     "stress_ratio": r"stress ratio $-\sigma_{xz}/p$", "Z2": r"coordination number $Z_2$", "A_xz": r"fabric $A_{xz}$",
-    "eta": r"friction coefficient $\eta$", "Z2-Zc": r"$Z_2-Z_c$", "(Z2-Zc)^2": r"$(Z_2-Z_c)^2$", "(phi-phic)^1/2": r"$(\phi-\phi_c)^{1/2}$",
+    "eta": r"friction coefficient $\eta$", "Z2-Zc": r"$Z_2-Z_c$", "(Z2-Zc)^2": r"$(Z_2-Z_c)^2$",
+    "(phi-phic)^1/2": r"$(\phi-\phi_c)^{1/2}$",
     "normal": r"normal stress $\sigma/p$", "normal, two": r"normal stress $\sigma/p$", "shear": r"shear stress $\sigma/p$",
     "Zc": r"critical coordination number $Z_c$", "a2": r"$a_2$ in (4.2)", "phic": r"critical volume fraction $\phi_c$",
     "b": r"$b_1$, $b_2$ in (4.5)", "a3": r"$a_3$ in (A 1)", "a4": r"$a_4$ in (A 4)",
@@ -70,21 +71,22 @@ def _constants(**definition):
 
 
 class Run(NamedTuple):
-    """A DEM run at constant volume: columns of its slow shear, of the part after the reversal, means of the part before."""
+    """A DEM run at constant volume: columns of its slow shear, `strain` 1 at the reversal, and after it; means before it."""
 
     shear: dict
     after: dict
     steady: dict
 
 
-def dem_runs(*mus):
-    """The DEM runs with one of these interparticle friction coefficients; FileNotFoundError without the package's data."""
+def dem_runs(*mus, phi=None):
+    """The DEM runs with one of these mu and, if given, this volume fraction; FileNotFoundError without the package's data."""
     folder = resources.files(__package__) / "data"
     names = sorted(file.name for file in folder.iterdir()) if folder.is_dir() else []
-    matches = [match for match in (re.fullmatch(r"cv_mu([\d.]+)_phi[\d.]+_s\d+\.csv", name) for name in names) if match]
+    matches = [match for match in (re.fullmatch(r"cv_mu([\d.]+)_phi([\d.]+)_s\d+\.csv", name) for name in names) if match]
     if not matches:
         raise FileNotFoundError(f"no DEM data in {folder}: the build puts demos/data/cv_*.csv there")
-    return [_read_run(folder / match[0], float(match[1])) for match in matches if float(match[1]) in mus]
+    return [_read_run(folder / match[0], float(match[1])) for match in matches
+            if float(match[1]) in mus and phi in (None, float(match[2]))]
 
 
 def _read_run(path, mu):
@@ -96,9 +98,9 @@ def _read_run(path, mu):
         columns |= {f"sigma_{axis}": data[f"p{axis}"], f"A_{axis}": data[f"A{axis}"]}
     gamma, reversal = data["gamma"], data["gamma"].argmax()
     after = np.arange(len(gamma)) > reversal
-    before = ~after & (data["gamma_acc"] > 0)                # negative while the run is sheared faster, to warm up
-    columns["strain"] = np.where(after, 2 * gamma[reversal] - gamma, gamma) - gamma[before.argmax() - 1]
-    columns["time"] = columns["strain"] + after              # (figure 1)
+    before = (gamma > gamma[reversal] - 1) & (data["gamma_acc"] > 0) & ~after      # gamma_acc < 0: faster shear that warms up
+    columns["strain"] = 1 + np.abs(gamma - gamma[reversal]) * np.where(after, 1, -1)
+    columns["time"] = columns["strain"] + after
     columns = _derived(columns, Material(mu))
     shear, later, earlier = ({name: column[rows] for name, column in columns.items()} for rows in (before | after, after, before))
     return Run(shear, later, {"mu": mu} | {name: column.mean() for name, column in earlier.items()})
@@ -145,7 +147,7 @@ def _sheet(number, title, notes, names, columns=2, colours=(GREY, GREY)):
     figure.text(0.5, 0.1 / height, "\n".join(notes), fontsize=8, ha="center", va="bottom", linespacing=1.3)
     handles = [Line2D([], [], color=colour, label=label, **style)
                for colour, label, style in zip(colours, ("model", DEM), ({}, POINTS))]
-    figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1 - (height - foot + 0.3) / height), ncol=2,
+    figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, (foot - 0.3) / height), ncol=2,
                   fontsize=8, frameon=False, borderaxespad=0)
     panels = []
     for i, (x, y) in enumerate(names):
@@ -198,7 +200,7 @@ def _stress_figure(number, title, notes, closure, *plots):
         for mu, line in zip(mus, ("-", "--")):
             _stresses(panel, _steady(Material(mu, closure)), [run.steady for run in dem_runs(mu)], POINTS, line)
         if not mus:
-            _stresses(panel, _reversal(Material(0.5, closure)), [run.shear for run in dem_runs(0.5)], DOTS)
+            _stresses(panel, _reversal(Material(0.5, closure)), [run.shear for run in dem_runs(0.5, phi=0.60)], DOTS)
     return figure
 
 
@@ -214,7 +216,7 @@ def figure_01():
     history = _history(material, material.steady(0.60), driver.shear(1), driver.pause(), driver.shear(-2, increments=400))
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear; DEM: two runs",
              "the model's stress follows from its state at once: its stress ratio jumps at the reversal")
-    return _evolution(1, "unsteady simple shear at constant volume", notes, "p", history, dem_runs(0.5), "time")
+    return _evolution(1, "unsteady simple shear at constant volume", notes, "p", history, dem_runs(0.5, phi=0.60), "time")
 
 
 def figure_02():
@@ -251,7 +253,7 @@ def figure_05():
 
 
 def figure_07():
-    runs = dem_runs(0.5)
+    runs = dem_runs(0.5, phi=0.60)
     fit = quadratic_friction(runs)
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full; model: reversed twice, DEM: reversed once",
              "(4.5) with table 1's constants; (4.6) with none printed, here a least-squares fit to the DEM after reversal:",
@@ -301,7 +303,7 @@ def figure_10():
     material = Material(0.5)
     history = _history(material, material.steady(0.60), *driver.cycles(0.5, 4, "pressure"))
     notes = (r"$\mu$ = 0.5, closure full, constant pressure, amplitude 0.5, from the steady state at $\phi$ = 0.60; " + NO_DEM,
-             rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure, with the printed constants; the paper has about 0.01")
+             rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure (printed constants); the paper has about 0.01")
     return _evolution(10, "cyclic simple shear at constant pressure", notes, "phi", history)
 
 
@@ -312,7 +314,7 @@ def figure_11():
     notes = (r"$\mu$ = 0.5, closure full, constant pressure $p\,d/k$ = 0.01, isotropic start at $\phi$ = 0.612; " + NO_DEM,)
     figure = _evolution(11, "Reynolds dilatancy", notes, "phi", _history(material, start, driver.shear(4, "pressure", 800)))
     axes = figure.axes[0]
-    for phi, text, colour in ((steady, f"model, steady: {steady:.4f}", RED), (0.602, "the paper's DEM, steady: about 0.602", BLUE)):
+    for phi, text, colour in ((steady, f"model, steady: {steady:.4f}", RED), (0.602, "the paper's DEM, steady: 0.602", BLUE)):
         axes.axhline(phi, color=colour, linewidth=0.9, linestyle="--")
         axes.text(4, phi - 2e-4, text, fontsize=7.5, ha="right", va="top")
     axes.set_ylim(0.601, 0.613)

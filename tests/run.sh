@@ -1,0 +1,12 @@
+#!/bin/sh
+# Tests the debug build without the slow tests, then the release build with all; arguments go to the last pytest.
+set -eu
+cd "$(dirname "$0")/.."
+./build.sh release debug
+
+export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
+pytest="/usr/bin/python3 -m pytest -p no:cacheprovider"
+status=0
+PYTHONPATH=$PWD/build/debug/python $pytest -m "not slow" || status=$?
+PYTHONPATH=$PWD/build/release/python $pytest "$@" || status=$?
+exit $status

@@ -1,0 +1,182 @@
+"""The figures: what they draw, against numbers that do not come from granumat.figures."""
+
+import numpy as np
+import pytest
+
+from granumat import Material, figures
+from reference import constants
+
+
+@pytest.fixture(scope="module")
+def draw():
+    """Figures by number, each drawn once."""
+    drawn = {}
+
+    def figure(name):
+        if name not in drawn:
+            drawn[name] = figures.FIGURES[name]()
+        return drawn[name]
+    return figure
+
+
+def curves(figure, panel, dem=False):
+    """Data (x, y) of the model's curves in a panel, or of its DEM points."""
+    lines = [line for line in figure.axes[panel].lines if (line.get_linestyle() == "None") == dem]
+    return [np.array(line.get_data(), float) for line in lines if dem or len(line.get_xdata()) > 2]
+
+
+def test_every_figure_is_written_under_its_number(tmp_path):
+    paths = figures.draw_figures(tmp_path / "new")
+    assert [path.name for path in paths] == [f"figure-{n:02d}.png" for n in (1, 2, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16)]
+    for path in paths:
+        assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and path.stat().st_size > 20_000, path.name
+
+
+def test_chosen_figures_are_written_in_the_order_asked_for(tmp_path):
+    assert figures.draw_figures(tmp_path, [16, "5"]) == [tmp_path / "figure-16.png", tmp_path / "figure-05.png"]
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_all_numbers_without_a_figure_are_refused_at_once(tmp_path):
+    with pytest.raises(ValueError, match=r"(?s)'3': must be one of 1, 2, 4.*'17'"):
+        figures.draw_figures(tmp_path / "none", ["1", "3", 17])
+    assert not (tmp_path / "none").exists()
+
+
+def test_missing_data_are_said_to_be_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr(figures.resources, "files", lambda package: tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"no DEM data in .*the build puts demos/data"):
+        figures.dem_runs(0.5)
+    (tmp_path / "data").mkdir()
+    with pytest.raises(FileNotFoundError):
+        figures.dem_runs(0.5)
+
+
+@pytest.mark.parametrize("name", figures.FIGURES)
+def test_every_panel_has_labels_finite_data_and_the_figure_its_conditions(draw, name):
+    figure = draw(name)
+    title, conditions = (text.get_text() for text in figure.texts)
+    assert title.startswith(f"Figure {name}: ") and conditions
+    for axes in figure.axes:
+        assert axes.get_xlabel() and axes.get_ylabel()
+        assert axes.lines
+        for line in axes.lines:
+            assert np.isfinite(np.array(line.get_data(), float)).all()
+
+
+# ---- the model's curves ----------------------------------------------------------------------------------------------
+
+def test_figure_1_holds_through_the_pause_and_jumps_at_the_reversal(draw):
+    for panel in range(4):
+        [(t, y)] = curves(draw("1"), panel)
+        assert t[0] == 0 and t[-1] == pytest.approx(4)
+        assert y[t <= 2 + 1e-9] == pytest.approx(y[0], rel=1e-10)
+        assert ((t > 1 + 1e-9) & (t < 2 - 1e-9)).sum() == 0
+    t, ratio = curves(draw("1"), 1)[0]
+    c, x = constants(0.5), 0.0875                                                    # A:S^ of steady shear, spin included
+    assert ratio[0] == pytest.approx(c["b1"] - c["b2"] * x, abs=1e-3)
+    assert ratio[t > 2 + 1e-9][0] == pytest.approx(-(c["b1"] + c["b2"] * x), abs=0.01)
+
+
+def test_figure_4_pressure_is_linear_in_the_squared_distance_from_jamming(draw):
+    slopes = [np.polyfit(x, p, 1)[0] for x, p in curves(draw("4"), 3)]
+    assert slopes == pytest.approx([0.0073 + 0.1 * mu * 0.0444 for mu in (0, 0.1, 0.3, 0.5, 1)], rel=1e-3)
+    for mu, (z2, p) in zip((0, 0.1, 0.3, 0.5, 1), curves(draw("4"), 1)):              # isotropic
+        assert p == pytest.approx(0.0073 * (z2 - constants(mu)["Zc"]) ** 2, rel=1e-9, abs=1e-15)
+
+
+def test_figures_5_8_and_16_draw_the_fits_of_their_captions(draw):
+    drawn = {name: curves(draw(figure), panel) for name, figure, panel in
+             (("Zc", "5", 0), ("a2", "5", 1), ("phic", "5", 2), ("a3", "16", 0))}
+    drawn["b1"], drawn["b2"] = ([line] for line in curves(draw("8"), 1))
+    for name, [(mu, y)] in drawn.items():
+        assert y == pytest.approx([constants(x)[name] for x in mu], rel=1e-12), name
+    at_one = [y[-1] for _, y in curves(draw("16"), 1)]
+    assert at_one == pytest.approx([6 - 6 * np.exp(-2), 6.5 - 6.5 * np.exp(-2), 4 - 3.7 * np.exp(-1.2)])
+
+
+def test_figure_8_friction_is_the_printed_fit_within_its_digits(draw):
+    steady, closed_form, printed = (y for _, y in curves(draw("8"), 0))
+    mu = np.linspace(0, 1, 101)
+    assert printed == pytest.approx(-0.3 * np.exp(-6 * mu) + 0.41)
+    assert abs(steady - printed).max() < 0.005
+    assert abs(closed_form - printed).max() < 0.01
+
+
+def test_figure_9_coordination_number_collapses_on_the_printed_line(draw):
+    for root, distance in curves(draw("9"), 1):
+        assert distance == pytest.approx(7.5 * root - 45 / 5.6 * 0.00145, abs=1e-3)     # d1/d2 times what the spin takes from chi
+
+
+def test_figure_11_ends_at_the_volume_fraction_with_that_steady_pressure(draw):
+    [(_, phi)] = curves(draw("11"), 0)
+    model, paper = (line.get_ydata()[0] for line in draw("11").axes[0].lines if len(line.get_xdata()) == 2)
+    assert -Material(0.5).steady(float(model)).stress[:3].mean() == pytest.approx(0.01, rel=1e-6)
+    assert phi[0] == 0.612 and phi[-1] == pytest.approx(model, abs=2e-4)
+    assert paper == 0.602
+
+
+def test_figure_13_normal_stresses_average_to_the_pressure_at_every_volume_fraction(draw):
+    xx, yy, zz = (y for _, y in curves(draw("13"), 0))
+    assert xx + yy + zz == pytest.approx(3, rel=1e-12)
+    assert np.ptp([xx, yy, zz], axis=1) == pytest.approx(0, abs=1e-9)
+
+
+def test_figure_14_sigma_yy_is_twice_as_far_from_the_pressure_as_the_mean_of_the_others(draw):
+    for panel in (0, 1):
+        lines = [y for _, y in curves(draw("14"), panel)]
+        for sigma_13, sigma_yy in zip(lines[::2], lines[1::2]):
+            assert sigma_yy - 1 == pytest.approx(-2 * (sigma_13 - 1), abs=1e-12)          # (A 2)
+
+
+def test_figure_15_first_difference_is_a_third_of_the_second_and_keeps_its_sign_through_the_reversal(draw):
+    xx, yy, zz = (y for _, y in curves(draw("15"), 2))
+    assert (xx < zz).all()
+    assert ((xx - zz) / (zz - yy))[[0, -1]] == pytest.approx(-1 / 3, abs=0.03)
+
+
+# ---- the DEM points --------------------------------------------------------------------------------------------------
+
+def test_dem_runs_have_the_steady_state_that_was_measured():
+    runs = figures.dem_runs(0.5)
+    assert len(runs) == 2 and len(figures.dem_runs(0.1, 0.3)) == 2
+    assert not figures.dem_runs(0.7) and not figures.dem_runs(0.5, phi=0.61)
+    for run in runs:
+        assert run.steady["phi"] == pytest.approx(0.60)
+        assert run.steady["p"] == pytest.approx(0.0102, abs=0.0005)
+        assert run.steady["stress_ratio"] == pytest.approx(0.385, abs=0.015)
+        assert run.steady["A_xz"] == pytest.approx(-0.044, abs=0.002)
+
+
+def test_dem_strain_grows_by_even_steps_through_the_reversal():
+    for run in figures.dem_runs(0.1, 0.3, 0.5):
+        step = np.diff(run.shear["strain"])
+        assert step == pytest.approx(step[0], rel=1e-3)
+        assert run.after["strain"][0] == pytest.approx(1 + step[0]) and run.after["strain"][-1] == run.shear["strain"][-1]
+        assert run.after["stress_ratio"][-50:].mean() < -0.2 < 0.2 < run.steady["stress_ratio"]
+
+
+def test_figure_1_has_no_dem_points_in_the_pause(draw):
+    for t, _ in curves(draw("1"), 0, dem=True):
+        assert not ((t > 1 + 1e-6) & (t < 2)).any()
+        assert t[0] > 0 and t[-1] == pytest.approx(4)
+
+
+def test_quadratic_friction_recovers_known_constants():
+    x = np.linspace(-0.09, 0.09, 50)
+    run = figures.Run({}, {"A_xz": -x / 2, "stress_ratio": -(0.1 - 4 * x - 12 * x**2)}, {})
+    assert figures.quadratic_friction([run, run]) == pytest.approx({"b1": 0.1, "b2": -4, "b3": -12})
+
+
+def test_figure_7_prints_the_fit_it_draws_and_it_is_nearer_to_the_dem_than_the_linear_law(draw):
+    runs = figures.dem_runs(0.5)
+    fit = figures.quadratic_friction(runs)
+    for value in fit.values():
+        assert f"= {value:.3g}$" in draw("7").texts[1].get_text()
+    x = np.concatenate([-2 * run.after["A_xz"] for run in runs])
+    eta = np.concatenate([-run.after["stress_ratio"] for run in runs])
+    c = constants(0.5)
+    errors = [np.std(eta - model) for model in (fit["b1"] + fit["b2"] * x + fit["b3"] * x**2, c["b1"] + c["b2"] * x)]
+    assert errors[0] < 0.6 * errors[1]
+    linear, quadratic = curves(draw("7"), 0)
+    assert abs(quadratic[1] - linear[1]).max() > 0.1
