@@ -5,8 +5,9 @@ module granumat_bindings
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
     are_valid, N_CONSTANTS, NAME_LENGTH, RANGES
   use granumat_path, only: follow_path
-  use granumat_state, only: material_state
+  use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_stress, only: evaluate
+  use granumat_tensors, only: LANES
   use granumat_status, only: status_message, MESSAGE_LENGTH
   implicit none (type, external)
   private
@@ -52,20 +53,26 @@ contains
     type(material_parameters), intent(in) :: par
     type(material_state), intent(inout) :: states(n)
     real(c_double), intent(out) :: eta(n)
-    integer :: i
-    do i = 1, n
-      call evaluate(par, states(i), eta(i))
+    type(lane_state) :: x
+    real(c_double) :: lane_eta(LANES)
+    integer :: first, last
+    do first = 1, n, LANES
+      last = min(first + LANES - 1, n)
+      call gather(states(first:last), x)
+      call evaluate(par, x, lane_eta)
+      call scatter(x, states(first:last))
+      eta(first:last) = lane_eta(:last - first + 1)
     end do
   end subroutine core_evaluate
 
-  subroutine core_update(n, par, old, gradient, new, status) bind(c)
-    integer(c_int), value, intent(in) :: n
+  subroutine core_update(n, threads, par, old, gradient, new, status) bind(c)
+    integer(c_int), value, intent(in) :: n, threads
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: old(n)
     real(c_double), intent(in) :: gradient(3, 3, n)
     type(material_state), intent(out) :: new(n)
     integer(c_int), intent(out) :: status(n)
-    call update_batch(par, old, gradient, new, status)
+    call update_batch(par, old, gradient, threads, new, status)
   end subroutine core_update
 
   !> m free modes, in arrays of at least one row (f2py takes no empty ones).

@@ -5,78 +5,102 @@
 module granumat_coordination
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters
+  use granumat_tensors, only: LANES
   implicit none (type, external)
   private
-  public :: excess_coordination, nodes, integrate_coordination
+  public :: excess_coordination, nodes, integrate_coordination, exponential
 
-  integer, parameter, public :: N_NODES = 5
+  integer, parameter, public :: N_NODES = 4
 
   ! Gauss-Legendre points and weights on [0, 1]; INTEGRAL(j, i): the j-th Lagrange polynomial integrated up to point i.
   real(dp), parameter :: POINT(N_NODES) = [ &
-    0.0469100770306680036_dp, 0.230765344947158454_dp, 0.5_dp, 0.769234655052841546_dp, 0.953089922969331996_dp]
+    0.0694318442029737124_dp, 0.330009478207571868_dp, 0.669990521792428132_dp, 0.930568155797026288_dp]
   real(dp), parameter :: WEIGHT(N_NODES) = [ &
-    0.118463442528094544_dp, 0.239314335249683234_dp, 0.284444444444444444_dp, 0.239314335249683234_dp, 0.118463442528094544_dp]
+    0.173927422568726929_dp, 0.326072577431273071_dp, 0.326072577431273071_dp, 0.173927422568726929_dp]
   real(dp), parameter :: INTEGRAL(N_NODES, N_NODES) = transpose(reshape([ &
-    0.0592317212640472719_dp, 0.128151005670045283_dp, 0.113776288004224603_dp, 0.121232436926864147_dp, &
-    0.116875329560228545_dp, &
-    -0.0195703643590760375_dp, 0.119657167624841617_dp, 0.260004651680641519_dp, 0.228996054578999877_dp, &
-    0.244908128910495419_dp, &
-    0.0112544008186429556_dp, -0.0245921146196422004_dp, 0.142222222222222222_dp, 0.309036559064086645_dp, &
-    0.273190043625801489_dp, &
-    -0.00559379366081218488_dp, 0.0103182806706833574_dp, -0.0206903164309582846_dp, 0.119657167624841617_dp, &
-    0.258884699608759272_dp, &
-    0.00158811296786599854_dp, -0.00276899439876960304_dp, 0.00468715452386994123_dp, -0.00968756314195073974_dp, &
-    0.0592317212640472719_dp], [N_NODES, N_NODES]))
+    0.0869637112843634643_dp, 0.188118117499868072_dp, 0.167191921974188773_dp, 0.177482572254522612_dp, &
+    -0.0266041800849987933_dp, 0.163036288715636536_dp, 0.353953006033743967_dp, 0.313445114741868347_dp, &
+    0.0126274626894047245_dp, -0.0278804286024708952_dp, 0.163036288715636536_dp, 0.352676757516271865_dp, &
+    -0.00355514968579568316_dp, 0.00673550059453815552_dp, -0.014190694931141143_dp, 0.0869637112843634643_dp], [N_NODES, N_NODES]))
+
+  integer :: j
+  real(dp), parameter :: INVERSE_FACTORIAL(0:11) = [(1 / gamma(real(j + 1, dp)), j = 0, 11)]
 
 contains
 
-  !> f(phi) - Zc (4.9), from e = ln(phi/phic).
-  pure function excess_coordination(par, e) result(excess)
+  !> exp(x) for |x| <= 0.2, to round-off: its Taylor polynomial, in vector instructions.
+  pure function exponential(x) result(e)
+    real(dp), intent(in) :: x(LANES)
+    real(dp) :: e(LANES)
+    integer :: k
+    e = INVERSE_FACTORIAL(11)
+    do k = 10, 0, -1
+      e = e * x + INVERSE_FACTORIAL(k)
+    end do
+  end function exponential
+
+  !> f(phi) - Zc (4.9), from phi - phic.
+  pure function excess_coordination(par, distance) result(excess)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: e
-    real(dp) :: excess
-    excess = 0
-    if (e > 0) excess = par%beta1 * (par%phic * 2 * sinh(e / 2) * exp(e / 2))**par%beta2   ! phi - phic = phic (exp(e) - 1)
+    real(dp), intent(in) :: distance(LANES)
+    real(dp) :: excess(LANES)
+    excess = sqrt(max(distance, 0.0_dp))
+    if (abs(par%beta2 - 0.5_dp) > 0) excess = excess**(2 * par%beta2)
+    excess = par%beta1 * excess
   end function excess_coordination
 
-  !> Gauss points over 0 <= t <= 1 while e goes from e_start to e_end, both of one sign: t, dt/dxi and e there.
-  pure subroutine nodes(e_start, e_end, t, dt, e)
-    real(dp), intent(in) :: e_start, e_end
-    real(dp), intent(out) :: t(N_NODES), dt(N_NODES), e(N_NODES)
-    real(dp) :: tau_start, tau_end, tau(N_NODES)
-
-    t = POINT
-    dt = 1
-    e = e_start + t * (e_end - e_start)
-    if (e_start > 0 .or. e_end > 0) then
-      tau_start = sqrt(max(e_start, 0.0_dp))
-      tau_end = sqrt(max(e_end, 0.0_dp))
-      tau = tau_start + POINT * (tau_end - tau_start)
-      t = POINT * (tau_start + tau) / (tau_start + tau_end)
-      dt = 2 * tau / (tau_start + tau_end)
-      e = tau**2
-    end if
-  end subroutine nodes
-
-  !> Z2 - Zc at the nodes and at the end, from its value at t = 0.
-  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, t, dt, e, excess_nodes, excess_end)
-    type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: excess                      ! Z2 - Zc at t = 0
-    real(dp), intent(in) :: A_S(N_NODES)                ! A:S at the nodes
-    real(dp), intent(in) :: mod_S, mod_D, tr_D          ! |S|, |D|, tr D of the increment
-    real(dp), intent(in) :: t(N_NODES), dt(N_NODES), e(N_NODES)
-    real(dp), intent(out) :: excess_nodes(N_NODES), excess_end
-    real(dp) :: decay, growth(N_NODES), integrand(N_NODES)
+  !> Gauss points over 0 <= t <= 1 while e = ln(phi/phic) goes from e_start to e_end, both of one sign: t and dt/dxi there.
+  pure subroutine nodes(e_start, e_end, t, dt)
+    real(dp), intent(in) :: e_start(LANES), e_end(LANES)
+    real(dp), intent(out) :: t(LANES, N_NODES), dt(LANES, N_NODES)
+    real(dp), dimension(LANES) :: tau_start, tau_end, tau, inverse
     integer :: i
 
-    decay = par%d2 * mod_D
-    growth = exp(decay * t)
+    tau_start = sqrt(max(e_start, 0.0_dp))
+    tau_end = sqrt(max(e_end, 0.0_dp))
+    where (max(tau_start, tau_end) <= 0)            ! phi stays below phic, where f is constant
+      tau_start = 1
+      tau_end = 1
+    end where
+    inverse = 1 / (tau_start + tau_end)
     do i = 1, N_NODES
-      integrand(i) = par%d1 * (A_S(i) - par%chi * mod_S) + decay * excess_coordination(par, e(i)) + par%d3 * tr_D   ! (4.8)
+      tau = tau_start + POINT(i) * (tau_end - tau_start)
+      t(:, i) = POINT(i) * (tau_start + tau) * inverse
+      dt(:, i) = 2 * tau * inverse
     end do
-    integrand = growth * integrand * dt
-    excess_nodes = (excess + matmul(integrand, INTEGRAL)) / growth
-    excess_end = (excess + sum(WEIGHT * integrand)) * exp(-decay)
+  end subroutine nodes
+
+  !> Z2 - Zc at the end, and if wanted at the nodes, from its value at t = 0.
+  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, phi, t, dt, excess_end, excess_nodes)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: excess(LANES)                             ! Z2 - Zc at t = 0
+    real(dp), intent(in) :: A_S(LANES, N_NODES)                       ! A:S at the nodes
+    real(dp), intent(in), dimension(LANES) :: mod_S, mod_D, tr_D      ! |S|, |D|, tr D of the increment
+    real(dp), intent(in) :: phi(LANES, N_NODES)                       ! phi at the nodes
+    real(dp), intent(in) :: t(LANES, N_NODES), dt(LANES, N_NODES)
+    real(dp), intent(out) :: excess_end(LANES)
+    real(dp), intent(out), optional :: excess_nodes(LANES, N_NODES)
+    real(dp) :: decay(LANES), constant(LANES), growth(LANES, N_NODES), integrand(LANES, N_NODES)
+    integer :: i, j
+
+    decay = par%d2 * mod_D
+    constant = par%d3 * tr_D - par%d1 * par%chi * mod_S
+    excess_end = excess
+    do i = 1, N_NODES
+      growth(:, i) = exponential(decay * t(:, i))
+      integrand(:, i) = growth(:, i) * dt(:, i) &
+        * (par%d1 * A_S(:, i) + decay * excess_coordination(par, phi(:, i) - par%phic) + constant)    ! (4.8)
+      excess_end = excess_end + WEIGHT(i) * integrand(:, i)
+    end do
+    excess_end = excess_end * exponential(-decay)
+    if (.not. present(excess_nodes)) return
+    do i = 1, N_NODES
+      excess_nodes(:, i) = excess
+      do j = 1, N_NODES
+        excess_nodes(:, i) = excess_nodes(:, i) + INTEGRAL(j, i) * integrand(:, j)
+      end do
+      excess_nodes(:, i) = excess_nodes(:, i) / growth(:, i)
+    end do
   end subroutine integrate_coordination
 
 end module granumat_coordination

@@ -3,11 +3,12 @@
 !! An increment without free amplitudes is exact and taken at once. With them, the gradient is constant over inner steps that
 !! are cut until one step and its two halves agree (the free amplitudes are then piecewise linear: second order).
 module granumat_path
+  use granumat_batch, only: update_batch
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters, are_valid
-  use granumat_state, only: material_state
+  use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
-  use granumat_tensors, only: strain_and_spin
+  use granumat_tensors, only: LANES, strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
   private
@@ -28,14 +29,23 @@ module granumat_path
     real(dp), allocatable :: functional(:, :)    ! (6, m): weights of stress 11 22 33 12 13 23
   end type control
 
+  integer, parameter :: MAX_MODES = 6
+
+  !> A step tried with amplitudes q(:m).
+  type :: trial
+    real(dp) :: q(MAX_MODES), residual(MAX_MODES), jacobian(MAX_MODES, MAX_MODES)
+    type(material_state) :: state
+    integer :: status
+  end type trial
+
 contains
 
   !> Follows n increments; what is computed before a failure stays valid.
-  pure subroutine follow_path(par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
+  subroutine follow_path(par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: start
     real(dp), intent(in) :: gradient(:, :, :)      ! (3, 3, n): (j, i) = du_i/dx_j of each increment
-    real(dp), intent(in) :: mode(:, :, :)          ! (3, 3, m)
+    real(dp), intent(in) :: mode(:, :, :)          ! (3, 3, m), m <= MAX_MODES
     real(dp), intent(in) :: functional(:, :)       ! (6, m)
     real(dp), intent(in) :: target(:, 0:)          ! (m, 0:n): at the start and after each increment, linear between
     real(dp), intent(in) :: tolerance              ! on fabric/kappa, Z2 and phi in every inner step
@@ -44,8 +54,8 @@ contains
     integer, intent(out) :: done, status           ! increments done; OK or why there are fewer than n
     type(control) :: law
     type(material_state) :: state
-    real(dp) :: step, rates(size(mode, 3)), strain(6), spin(3)
-    integer :: i
+    real(dp) :: step, rates(size(mode, 3))
+    integer :: i, point_status(1)
 
     law = control(par, mode, functional)
     state = start
@@ -57,8 +67,8 @@ contains
     if (status /= OK) return
     do i = 1, size(gradient, 3)
       if (size(mode, 3) == 0) then
-        call strain_and_spin(gradient(:, :, i), strain, spin)
-        call update(par, state, strain, spin, states(i), status)
+        call update_batch(par, [state], gradient(:, :, i:i), 1, states(i:i), point_status)
+        status = point_status(1)
       else
         call controlled_increment(law, state, gradient(:, :, i), target(:, i - 1), target(:, i), tolerance, &
           step, rates, states(i), amplitude(:, i), status)
@@ -135,71 +145,70 @@ contains
     real(dp), intent(inout) :: rates(:)
     type(material_state), intent(out) :: new
     integer, intent(out) :: status
-    real(dp), dimension(size(rates)) :: q, q_new, residual, residual_new, change
-    real(dp) :: jacobian(size(rates), size(rates)), scale, delta, length
-    type(material_state) :: shifted
-    integer :: iteration, halving, k, m
+    type(trial) :: now, next
+    real(dp) :: change(size(rates)), scale, length
+    integer :: iteration, halving, m
     logical :: regular
 
     m = size(rates)
     scale = max(maxval(abs(target)), maxval(abs(old%stress)), STRESS_FLOOR)
-    q = step * rates
-    call evaluate(q, new, residual, status)
-    if (status /= OK) then                             ! the guess leads astray: start from none
-      q = 0
-      call evaluate(q, new, residual, status)
-    end if
+    call try(law, old, step, G, target, step * rates, now)
+    if (now%status /= OK) call try(law, old, step, G, target, 0 * rates, now)     ! the guess leads astray: start from none
     do iteration = 1, MAX_ITERATIONS
+      status = now%status
       if (status /= OK) return
-      if (maxval(abs(residual)) <= STRESS_TOLERANCE * scale) then
-        rates = q / step
+      if (maxval(abs(now%residual(:m))) <= STRESS_TOLERANCE * scale) then
+        rates = now%q(:m) / step
+        new = now%state
         return
       end if
-      delta = DIFFERENCE * max(maxval(abs(q)), step * maxval(abs(G)), STRAIN_FLOOR * step)
-      do k = 1, m
-        q_new = q
-        q_new(k) = q(k) + delta
-        call evaluate(q_new, shifted, residual_new, status)
-        if (status /= OK) return
-        jacobian(:, k) = (residual_new - residual) / delta
-      end do
-      change = -residual
-      call solve_linear(jacobian, change, regular)
+      change = -now%residual(:m)
+      call solve_linear(now%jacobian(:m, :m), change, regular)
       if (.not. regular) exit
       length = 1
       do halving = 1, MAX_HALVINGS
-        q_new = q + length * change
-        call evaluate(q_new, shifted, residual_new, status)
-        if (status == OK .and. maxval(abs(residual_new)) < maxval(abs(residual))) exit
+        call try(law, old, step, G, target, now%q(:m) + length * change, next)
+        if (next%status == OK .and. maxval(abs(next%residual(:m))) < maxval(abs(now%residual(:m)))) exit
         length = length / 2
       end do
       if (halving > MAX_HALVINGS) exit
-      q = q_new
-      residual = residual_new
-      new = shifted
+      now = next
     end do
     status = TARGET_NOT_REACHED
-
-  contains
-
-    pure subroutine evaluate(q, state, residual, status)
-      real(dp), intent(in) :: q(:)
-      type(material_state), intent(out) :: state
-      real(dp), intent(out) :: residual(:)
-      integer, intent(out) :: status
-      real(dp) :: total(3, 3), strain(6), spin(3)
-      integer :: k
-
-      total = step * G
-      do k = 1, size(q)
-        total = total + q(k) * law%mode(:, :, k)
-      end do
-      call strain_and_spin(total, strain, spin)
-      call update(law%par, old, strain, spin, state, status)
-      residual = matmul(state%stress, law%functional) - target
-    end subroutine evaluate
-
   end subroutine solve_step
+
+  !> A step with amplitudes q; in the other lanes with one of them shifted, for the Jacobian.
+  pure subroutine try(law, old, step, G, target, q, found)
+    type(control), intent(in) :: law
+    type(material_state), intent(in) :: old
+    real(dp), intent(in) :: step, G(3, 3), target(:), q(:)
+    type(trial), intent(out) :: found
+    type(lane_state) :: x, x_new
+    type(material_state) :: states(size(q) + 1)
+    real(dp) :: total(3, 3, size(q) + 1), strain(LANES, 6), spin(LANES, 3), delta
+    integer :: lane_status(LANES), k, m
+
+    m = size(q)
+    delta = DIFFERENCE * max(maxval(abs(q)), step * maxval(abs(G)), STRAIN_FLOOR * step)
+    total(:, :, 1) = step * G
+    do k = 1, m
+      total(:, :, 1) = total(:, :, 1) + q(k) * law%mode(:, :, k)
+    end do
+    do k = 1, m
+      total(:, :, k + 1) = total(:, :, 1) + delta * law%mode(:, :, k)
+    end do
+    call gather([old], x)
+    call strain_and_spin(total, strain, spin)
+    call update(law%par, x, strain, spin, x_new, lane_status)
+    call scatter(x_new, states)
+    found%q(:m) = q
+    found%status = maxval(lane_status(:m + 1))
+    found%state = states(1)
+    found%residual(:m) = matmul(states(1)%stress, law%functional) - target
+    do k = 1, m
+      found%jacobian(:m, k) = matmul(states(k + 1)%stress - states(1)%stress, law%functional) / delta
+    end do
+  end subroutine try
 
   !> Gaussian elimination with row pivoting; the solution replaces b.
   pure subroutine solve_linear(matrix, b, regular)

@@ -4,6 +4,7 @@
 !! so any ratio of increment and scale is stable and the limit e_r -> 0 is the model itself.
 module granumat_relaxation
   use granumat_kinds, only: dp
+  use granumat_tensors, only: LANES
   implicit none (type, external)
   private
   public :: relaxation_weights
@@ -15,54 +16,57 @@ contains
 
   !> Weights of sigma'_model at the places u = 1 - t (distinct), for the kernel ratio exp(-ratio u).
   pure function relaxation_weights(ratio, u) result(weights)
-    real(dp), intent(in) :: ratio      ! strain increment over e_r
-    real(dp), intent(in) :: u(:)
-    real(dp) :: weights(size(u))
+    real(dp), intent(in) :: ratio(LANES)      ! strain increment over e_r
+    real(dp), intent(in) :: u(:, :)           ! (LANES, n)
+    real(dp) :: weights(LANES, size(u, 2))
     integer :: n, i, k
 
-    n = size(u)
+    n = size(u, 2)
     weights = moments(ratio, n)
     do k = 1, n - 1                    ! Bjorck & Pereyra (1970): the Vandermonde system sum_i w_i u_i^j = moment_j
       do i = n, k + 1, -1
-        weights(i) = weights(i) - u(k) * weights(i - 1)
+        weights(:, i) = weights(:, i) - u(:, k) * weights(:, i - 1)
       end do
     end do
     do k = n - 1, 1, -1
       do i = k + 1, n
-        weights(i) = weights(i) / (u(i) - u(i - k))
+        weights(:, i) = weights(:, i) / (u(:, i) - u(:, i - k))
       end do
       do i = k, n - 1
-        weights(i) = weights(i) - weights(i + 1)
+        weights(:, i) = weights(:, i) - weights(:, i + 1)
       end do
     end do
   end function relaxation_weights
 
   !> moment_j = integral of ratio exp(-ratio u) u^(j-1) over 0 <= u <= 1, j = 1 ... n.
   pure function moments(ratio, n) result(moment)
-    real(dp), intent(in) :: ratio
+    real(dp), intent(in) :: ratio(LANES)
     integer, intent(in) :: n
-    real(dp) :: moment(n), edge, term
+    real(dp) :: moment(LANES, n), small(LANES), large(LANES), edge(LANES), term(LANES), forward(LANES)
     integer :: j
 
-    edge = exp(-ratio)
-    if (ratio > FORWARD_FROM) then
-      moment(1) = 1 - edge
-      do j = 2, n
-        moment(j) = (j - 1) / ratio * moment(j - 1) - edge
-      end do
-    else
-      term = edge * ratio / n          ! series of the last moment, all terms positive; the rest by backward recurrence
-      moment(n) = term
-      j = n
-      do while (term > SERIES_END * moment(n))
-        j = j + 1
-        term = term * ratio / j
-        moment(n) = moment(n) + term
-      end do
-      do j = n, 2, -1
-        moment(j - 1) = ratio / (j - 1) * (moment(j) + edge)
-      end do
-    end if
+    small = min(ratio, FORWARD_FROM)
+    edge = exp(-small)
+    term = edge * small / n            ! series of the last moment, all terms positive; the rest by backward recurrence
+    moment(:, n) = term
+    j = n
+    do while (any(term > SERIES_END * moment(:, n)))
+      j = j + 1
+      term = term * small / j
+      moment(:, n) = moment(:, n) + term
+    end do
+    do j = n, 2, -1
+      moment(:, j - 1) = small / (j - 1) * (moment(:, j) + edge)
+    end do
+    if (all(ratio <= FORWARD_FROM)) return
+
+    large = max(ratio, FORWARD_FROM)
+    edge = exp(-large)
+    forward = 1 - edge
+    do j = 1, n
+      if (j > 1) forward = (j - 1) / large * forward - edge
+      moment(:, j) = merge(forward, moment(:, j), ratio > FORWARD_FROM)
+    end do
   end function moments
 
 end module granumat_relaxation

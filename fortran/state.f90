@@ -1,13 +1,12 @@
-!> What a material point remembers: 20 numbers, 160 bytes, the same in Fortran, C and numpy.
+!> What a material point remembers: 20 numbers, 160 bytes, the same in Fortran, C and numpy; and LANES points side by side.
 module granumat_state
   use, intrinsic :: iso_c_binding, only: c_double
-  use, intrinsic :: ieee_arithmetic, only: ieee_is_finite
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, BAD_FABRIC
-  use granumat_tensors, only: trace
+  use granumat_tensors, only: LANES, trace
   implicit none (type, external)
   private
-  public :: check_state, is_finite, is_realisable
+  public :: gather, scatter, check_state, is_finite, is_realisable
 
   type, public, bind(c) :: material_state
     real(c_double) :: stress(6)             !! Cauchy stress, tension positive, in units of k/d (or k_Hz)
@@ -17,47 +16,83 @@ module granumat_state
     real(c_double) :: volume_fraction       !! phi
   end type material_state
 
+  type, public :: lane_state
+    real(dp) :: stress(LANES, 6), fabric(LANES, 6), direction(LANES, 6), coordination_number(LANES), volume_fraction(LANES)
+  end type lane_state
+
   real(dp), parameter :: ROUND_OFF = 1.0e-12_dp   ! in fabrics of order one: far above what a long path gathers
 
 contains
 
-  !> Status of a state that is to be updated.
-  pure function check_state(state) result(status)
-    type(material_state), intent(in) :: state
-    integer :: status
+  !> Up to LANES points side by side; the last one fills the lanes that are left.
+  pure subroutine gather(points, x)
+    type(material_state), intent(in) :: points(:)
+    type(lane_state), intent(out) :: x
+    integer :: i, j
+
+    do i = 1, LANES
+      j = min(i, size(points))
+      x%stress(i, :) = points(j)%stress
+      x%fabric(i, :) = points(j)%fabric
+      x%direction(i, :) = points(j)%direction
+      x%coordination_number(i) = points(j)%coordination_number
+      x%volume_fraction(i) = points(j)%volume_fraction
+    end do
+  end subroutine gather
+
+  pure subroutine scatter(x, points)
+    type(lane_state), intent(in) :: x
+    type(material_state), intent(out) :: points(:)
+    integer :: i
+
+    do i = 1, size(points)
+      points(i)%stress = x%stress(i, :)
+      points(i)%fabric = x%fabric(i, :)
+      points(i)%direction = x%direction(i, :)
+      points(i)%coordination_number = x%coordination_number(i)
+      points(i)%volume_fraction = x%volume_fraction(i)
+    end do
+  end subroutine scatter
+
+  !> Status of states that are to be updated.
+  pure function check_state(x) result(status)
+    type(lane_state), intent(in) :: x
+    integer :: status(LANES)
 
     status = OK
-    if (.not. is_finite(state)) then
-      status = NOT_FINITE
-    else if (.not. (state%volume_fraction > 0 .and. state%volume_fraction < 1)) then
-      status = BAD_VOLUME_FRACTION
-    else if (.not. is_realisable(state%fabric)) then
-      status = BAD_FABRIC
-    end if
+    where (.not. is_realisable(x%fabric)) status = BAD_FABRIC
+    where (.not. (x%volume_fraction > 0 .and. x%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
+    where (.not. is_finite(x)) status = NOT_FINITE
   end function check_state
 
-  pure function is_finite(state) result(finite)
-    type(material_state), intent(in) :: state
-    logical :: finite
-    finite = all(ieee_is_finite(state%stress)) .and. all(ieee_is_finite(state%fabric)) &
-      .and. all(ieee_is_finite(state%direction)) .and. ieee_is_finite(state%coordination_number) &
-      .and. ieee_is_finite(state%volume_fraction)
+  pure function is_finite(x) result(finite)
+    type(lane_state), intent(in) :: x
+    logical :: finite(LANES)
+    real(dp) :: largest(LANES)
+    integer :: k
+
+    largest = abs(x%coordination_number) + abs(x%volume_fraction)      ! sums keep what is not finite; the finite stays far below
+    do k = 1, 6
+      largest = largest + abs(x%stress(:, k)) + abs(x%fabric(:, k)) + abs(x%direction(:, k))
+    end do
+    finite = largest <= huge(1.0_dp)
   end function is_finite
 
   !> Whether A is traceless and A + I/3, a mean of n n, is positive semidefinite (its eigenvalues then lie in [0, 1]).
   pure function is_realisable(A) result(realisable)
-    real(dp), intent(in) :: A(6)
-    logical :: realisable
-    real(dp) :: F(6), minor(3), determinant
+    real(dp), intent(in) :: A(LANES, 6)
+    logical :: realisable(LANES)
+    real(dp), dimension(LANES) :: xx, yy, zz, minor_xy, minor_xz, minor_yz, determinant, smallest
 
-    realisable = .false.
-    if (any(abs(A) > 1)) return
-    if (abs(trace(A)) > ROUND_OFF) return
-    F = A
-    F(1:3) = A(1:3) + 1.0_dp / 3
-    minor = [F(1) * F(2) - F(4)**2, F(1) * F(3) - F(5)**2, F(2) * F(3) - F(6)**2]
-    determinant = F(1) * minor(3) - F(4) * (F(4) * F(3) - F(5) * F(6)) + F(5) * (F(4) * F(6) - F(5) * F(2))
-    realisable = minval([F(1:3), minor, determinant]) >= -ROUND_OFF
+    xx = A(:, 1) + 1.0_dp / 3
+    yy = A(:, 2) + 1.0_dp / 3
+    zz = A(:, 3) + 1.0_dp / 3
+    minor_xy = xx * yy - A(:, 4)**2
+    minor_xz = xx * zz - A(:, 5)**2
+    minor_yz = yy * zz - A(:, 6)**2
+    determinant = xx * minor_yz - A(:, 4) * (A(:, 4) * zz - A(:, 5) * A(:, 6)) + A(:, 5) * (A(:, 4) * A(:, 6) - A(:, 5) * yy)
+    smallest = min(xx, yy, zz, minor_xy, minor_xz, minor_yz, determinant)
+    realisable = smallest >= -ROUND_OFF .and. abs(trace(A)) <= ROUND_OFF
   end function is_realisable
 
 end module granumat_state

@@ -2,9 +2,9 @@
 module granumat_stress
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
-  use granumat_state, only: material_state
+  use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
-  use granumat_tensors, only: IDENTITY, contract, deviator, modulus, product_symmetric, trace
+  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_symmetric, times, trace
   implicit none (type, external)
   private
   public :: evaluate, pressure_modulus, pressure, stress_deviator
@@ -14,8 +14,8 @@ contains
   !> a1 + a2 |A| + g tr D^, (4.2) with (B 1); kappa for |A| in the critical closure (A 11).
   pure function pressure_modulus(par, A, direction) result(factor)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(6), direction(6)
-    real(dp) :: factor, mod_A
+    real(dp), intent(in) :: A(LANES, 6), direction(LANES, 6)
+    real(dp) :: factor(LANES), mod_A(LANES)
     mod_A = par%kappa
     if (par%closure /= CRITICAL) mod_A = modulus(A)
     factor = par%a1 + par%a2 * mod_A + par%g * trace(direction)
@@ -24,9 +24,9 @@ contains
   !> p d/k (4.2), or p/k_Hz (4.4): its 3/2 power; 0 for the unjammed, Z2 <= Zc.
   pure function pressure(par, factor, excess) result(p)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: factor     ! pressure_modulus
-    real(dp), intent(in) :: excess     ! Z2 - Zc
-    real(dp) :: p
+    real(dp), intent(in) :: factor(LANES)     ! pressure_modulus
+    real(dp), intent(in) :: excess(LANES)     ! Z2 - Zc
+    real(dp) :: p(LANES)
     p = factor * max(excess, 0.0_dp)**2
     if (par%contact == HERTZIAN) p = sqrt(p)**3
   end function pressure
@@ -34,8 +34,8 @@ contains
   !> eta (4.5), (4.6); chi for A:S^ in the critical closure (A 12).
   pure function friction(par, A, S_hat) result(eta)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(6), S_hat(6)
-    real(dp) :: eta, x
+    real(dp), intent(in) :: A(LANES, 6), S_hat(LANES, 6)
+    real(dp) :: eta(LANES), x(LANES)
     x = par%chi
     if (par%closure /= CRITICAL) x = contract(A, S_hat)
     eta = par%b1 + x * (par%b2 + x * par%b3)
@@ -47,31 +47,30 @@ contains
   !! at tr D = 0, so that the term stays traceless when the volume changes.
   pure function stress_deviator(par, A, S_hat, p) result(dev)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(6), S_hat(6), p
-    real(dp) :: dev(6), x
+    real(dp), intent(in) :: A(LANES, 6), S_hat(LANES, 6), p(LANES)
+    real(dp) :: dev(LANES, 6), x(LANES)
 
     x = contract(A, S_hat)
-    dev = -friction(par, A, S_hat) * S_hat
-    dev = dev + par%a3 * (product_symmetric(A, S_hat) - 2 * x / 3 * IDENTITY)
-    dev = dev + par%a4 * (A - x / 2 * S_hat)
-    dev = -p * dev
+    dev = times(-friction(par, A, S_hat) - par%a4 * x / 2, S_hat) + par%a4 * A
+    dev = dev + par%a3 * add_identity(product_symmetric(A, S_hat), -2 * x / 3)
+    dev = times(-p, dev)
   end function stress_deviator
 
-  !> The model stress of a state's microstructure in its direction, and eta; what the critical closure implies is set.
-  pure subroutine evaluate(par, state, eta)
+  !> The model stress of states' microstructure in their direction, and eta; what the critical closure implies is set.
+  pure subroutine evaluate(par, x, eta)
     type(material_parameters), intent(in) :: par
-    type(material_state), intent(inout) :: state
-    real(dp), intent(out) :: eta
-    real(dp) :: S_hat(6), p
+    type(lane_state), intent(inout) :: x
+    real(dp), intent(out) :: eta(LANES)
+    real(dp) :: S_hat(LANES, 6), p(LANES)
 
-    S_hat = deviator(state%direction)
+    S_hat = deviator(x%direction)
     if (par%closure == CRITICAL) then
-      state%fabric = par%lambda * S_hat                                                        ! (A 9)
-      state%coordination_number = par%Zc + excess_coordination(par, log(state%volume_fraction / par%phic))
+      x%fabric = par%lambda * S_hat                                                            ! (A 9)
+      x%coordination_number = par%Zc + excess_coordination(par, x%volume_fraction - par%phic)
     end if
-    eta = friction(par, state%fabric, S_hat)
-    p = pressure(par, pressure_modulus(par, state%fabric, state%direction), state%coordination_number - par%Zc)
-    state%stress = stress_deviator(par, state%fabric, S_hat, p) - p * IDENTITY
+    eta = friction(par, x%fabric, S_hat)
+    p = pressure(par, pressure_modulus(par, x%fabric, x%direction), x%coordination_number - par%Zc)
+    x%stress = add_identity(stress_deviator(par, x%fabric, S_hat, p), -p)
   end subroutine evaluate
 
 end module granumat_stress

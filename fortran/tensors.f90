@@ -1,100 +1,156 @@
-!> Symmetric tensors as six components 11 22 33 12 13 23 (tensor shear components), spins as W12 W13 W23.
+!> Tensors of LANES points at once, the points innermost, so that every formula is a vector instruction.
+!!
+!! Symmetric tensors are six components 11 22 33 12 13 23 (tensor shear components), spins three: W12 W13 W23.
 module granumat_tensors
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: trace, deviator, contract, modulus, product_symmetric, rotation, rotate, corotate, strain_and_spin
+  public :: trace, deviator, contract, modulus, safe_modulus, times, product_symmetric, rotation, rotate, corotate, &
+    add_identity, strain_and_spin
 
-  real(dp), parameter, public :: IDENTITY(6) = [1, 1, 1, 0, 0, 0]
+  integer, parameter, public :: LANES = 8     ! one vector of AVX-512, two of AVX2, four of SSE2
 
 contains
 
   pure function trace(T) result(tr)
-    real(dp), intent(in) :: T(6)
-    real(dp) :: tr
-    tr = T(1) + T(2) + T(3)
+    real(dp), intent(in) :: T(LANES, 6)
+    real(dp) :: tr(LANES)
+    tr = T(:, 1) + T(:, 2) + T(:, 3)
   end function trace
 
+  !> T + s I
+  pure function add_identity(T, s) result(R)
+    real(dp), intent(in) :: T(LANES, 6), s(LANES)
+    real(dp) :: R(LANES, 6)
+    integer :: k
+    do k = 1, 3
+      R(:, k) = T(:, k) + s
+    end do
+    R(:, 4:6) = T(:, 4:6)
+  end function add_identity
+
   pure function deviator(T) result(dev)
-    real(dp), intent(in) :: T(6)
-    real(dp) :: dev(6)
-    dev = T - trace(T) / 3 * IDENTITY
+    real(dp), intent(in) :: T(LANES, 6)
+    real(dp) :: dev(LANES, 6)
+    dev = add_identity(T, -trace(T) / 3)
   end function deviator
 
   !> X : Y
   pure function contract(X, Y) result(c)
-    real(dp), intent(in) :: X(6), Y(6)
-    real(dp) :: c
-    c = X(1) * Y(1) + X(2) * Y(2) + X(3) * Y(3) + 2 * (X(4) * Y(4) + X(5) * Y(5) + X(6) * Y(6))
+    real(dp), intent(in) :: X(LANES, 6), Y(LANES, 6)
+    real(dp) :: c(LANES)
+    c = X(:, 1) * Y(:, 1) + X(:, 2) * Y(:, 2) + X(:, 3) * Y(:, 3) &
+      + 2 * (X(:, 4) * Y(:, 4) + X(:, 5) * Y(:, 5) + X(:, 6) * Y(:, 6))
   end function contract
 
-  !> |T| = sqrt(T : T / 2), the paper's modulus; safe from underflow and overflow.
+  !> |T| = sqrt(T : T / 2), the paper's modulus.
   pure function modulus(T) result(m)
-    real(dp), intent(in) :: T(6)
-    real(dp) :: m, scale
-    scale = maxval(abs(T))
-    m = 0
-    if (scale > 0) m = scale * sqrt(contract(T / scale, T / scale) / 2)
+    real(dp), intent(in) :: T(LANES, 6)
+    real(dp) :: m(LANES)
+    m = sqrt(contract(T, T) / 2)
   end function modulus
+
+  !> |T|, safe from underflow and overflow.
+  pure function safe_modulus(T) result(m)
+    real(dp), intent(in) :: T(LANES, 6)
+    real(dp) :: m(LANES), size(LANES)
+    integer :: k
+    size = abs(T(:, 1))
+    do k = 2, 6
+      size = max(size, abs(T(:, k)))
+    end do
+    m = size * modulus(times(1 / max(size, tiny(1.0_dp)), T))
+  end function safe_modulus
+
+  !> s T
+  pure function times(s, T) result(P)
+    real(dp), intent(in) :: s(LANES), T(LANES, 6)
+    real(dp) :: P(LANES, 6)
+    integer :: k
+    do k = 1, 6
+      P(:, k) = s * T(:, k)
+    end do
+  end function times
 
   !> X Y + Y X
   pure function product_symmetric(X, Y) result(P)
-    real(dp), intent(in) :: X(6), Y(6)
-    real(dp) :: P(6)
-    P(1) = 2 * (X(1) * Y(1) + X(4) * Y(4) + X(5) * Y(5))
-    P(2) = 2 * (X(4) * Y(4) + X(2) * Y(2) + X(6) * Y(6))
-    P(3) = 2 * (X(5) * Y(5) + X(6) * Y(6) + X(3) * Y(3))
-    P(4) = X(1) * Y(4) + X(4) * Y(2) + X(5) * Y(6) + Y(1) * X(4) + Y(4) * X(2) + Y(5) * X(6)
-    P(5) = X(1) * Y(5) + X(4) * Y(6) + X(5) * Y(3) + Y(1) * X(5) + Y(4) * X(6) + Y(5) * X(3)
-    P(6) = X(4) * Y(5) + X(2) * Y(6) + X(6) * Y(3) + Y(4) * X(5) + Y(2) * X(6) + Y(6) * X(3)
+    real(dp), intent(in) :: X(LANES, 6), Y(LANES, 6)
+    real(dp) :: P(LANES, 6)
+    P(:, 1) = 2 * (X(:, 1) * Y(:, 1) + X(:, 4) * Y(:, 4) + X(:, 5) * Y(:, 5))
+    P(:, 2) = 2 * (X(:, 4) * Y(:, 4) + X(:, 2) * Y(:, 2) + X(:, 6) * Y(:, 6))
+    P(:, 3) = 2 * (X(:, 5) * Y(:, 5) + X(:, 6) * Y(:, 6) + X(:, 3) * Y(:, 3))
+    P(:, 4) = X(:, 1) * Y(:, 4) + X(:, 4) * Y(:, 2) + X(:, 5) * Y(:, 6) + Y(:, 1) * X(:, 4) + Y(:, 4) * X(:, 2) + Y(:, 5) * X(:, 6)
+    P(:, 5) = X(:, 1) * Y(:, 5) + X(:, 4) * Y(:, 6) + X(:, 5) * Y(:, 3) + Y(:, 1) * X(:, 5) + Y(:, 4) * X(:, 6) + Y(:, 5) * X(:, 3)
+    P(:, 6) = X(:, 4) * Y(:, 5) + X(:, 2) * Y(:, 6) + X(:, 6) * Y(:, 3) + Y(:, 4) * X(:, 5) + Y(:, 2) * X(:, 6) + Y(:, 6) * X(:, 3)
   end function product_symmetric
 
   !> W T - T W, the rate of a tensor carried along by the spin w.
   pure function corotate(w, T) result(dot_T)
-    real(dp), intent(in) :: w(3), T(6)
-    real(dp) :: dot_T(6)
-    dot_T(1) = 2 * (w(1) * T(4) + w(2) * T(5))
-    dot_T(2) = 2 * (w(3) * T(6) - w(1) * T(4))
-    dot_T(3) = -2 * (w(2) * T(5) + w(3) * T(6))
-    dot_T(4) = w(1) * (T(2) - T(1)) + w(2) * T(6) + w(3) * T(5)
-    dot_T(5) = w(2) * (T(3) - T(1)) + w(1) * T(6) - w(3) * T(4)
-    dot_T(6) = w(3) * (T(3) - T(2)) - w(1) * T(5) - w(2) * T(4)
+    real(dp), intent(in) :: w(LANES, 3), T(LANES, 6)
+    real(dp) :: dot_T(LANES, 6)
+    dot_T(:, 1) = 2 * (w(:, 1) * T(:, 4) + w(:, 2) * T(:, 5))
+    dot_T(:, 2) = 2 * (w(:, 3) * T(:, 6) - w(:, 1) * T(:, 4))
+    dot_T(:, 3) = -2 * (w(:, 2) * T(:, 5) + w(:, 3) * T(:, 6))
+    dot_T(:, 4) = w(:, 1) * (T(:, 2) - T(:, 1)) + w(:, 2) * T(:, 6) + w(:, 3) * T(:, 5)
+    dot_T(:, 5) = w(:, 2) * (T(:, 3) - T(:, 1)) + w(:, 1) * T(:, 6) - w(:, 3) * T(:, 4)
+    dot_T(:, 6) = w(:, 3) * (T(:, 3) - T(:, 2)) - w(:, 1) * T(:, 5) - w(:, 2) * T(:, 4)
   end function corotate
 
   !> exp(W) by Rodrigues' formula.
   pure function rotation(w) result(R)
-    real(dp), intent(in) :: w(3)
-    real(dp) :: R(3, 3), W1(3, 3), angle, first, second
+    real(dp), intent(in) :: w(LANES, 3)
+    real(dp) :: R(LANES, 3, 3), angle(LANES), first(LANES), second(LANES), x(LANES), y(LANES), z(LANES)
 
-    W1 = reshape([0.0_dp, -w(1), -w(2), w(1), 0.0_dp, -w(3), w(2), w(3), 0.0_dp], [3, 3])
-    angle = norm2(w)
+    x = -w(:, 3)                                    ! axial vector
+    y = w(:, 2)
+    z = -w(:, 1)
+    angle = sqrt(x**2 + y**2 + z**2)
     first = 1
     second = 0.5_dp
-    if (angle > 0) then
+    where (angle > 0)
       first = sin(angle) / angle
       second = (sin(angle / 2) / (angle / 2))**2 / 2
-    end if
-    R = first * W1 + second * matmul(W1, W1)
-    R(1, 1) = R(1, 1) + 1
-    R(2, 2) = R(2, 2) + 1
-    R(3, 3) = R(3, 3) + 1
+    end where
+    R(:, 1, 1) = 1 - second * (y**2 + z**2)
+    R(:, 2, 2) = 1 - second * (x**2 + z**2)
+    R(:, 3, 3) = 1 - second * (x**2 + y**2)
+    R(:, 1, 2) = second * x * y - first * z
+    R(:, 2, 1) = second * x * y + first * z
+    R(:, 1, 3) = second * x * z + first * y
+    R(:, 3, 1) = second * x * z - first * y
+    R(:, 2, 3) = second * y * z - first * x
+    R(:, 3, 2) = second * y * z + first * x
   end function rotation
 
   !> R T R^T
   pure function rotate(R, T) result(rotated)
-    real(dp), intent(in) :: R(3, 3), T(6)
-    real(dp) :: rotated(6), full(3, 3)
-    full = reshape([T(1), T(4), T(5), T(4), T(2), T(6), T(5), T(6), T(3)], [3, 3])
-    full = matmul(R, matmul(full, transpose(R)))
-    rotated = [full(1, 1), full(2, 2), full(3, 3), full(1, 2), full(1, 3), full(2, 3)]
+    real(dp), intent(in) :: R(LANES, 3, 3), T(LANES, 6)
+    real(dp) :: rotated(LANES, 6), RT(LANES, 3, 3)
+    integer :: i
+
+    do i = 1, 3
+      RT(:, i, 1) = R(:, i, 1) * T(:, 1) + R(:, i, 2) * T(:, 4) + R(:, i, 3) * T(:, 5)
+      RT(:, i, 2) = R(:, i, 1) * T(:, 4) + R(:, i, 2) * T(:, 2) + R(:, i, 3) * T(:, 6)
+      RT(:, i, 3) = R(:, i, 1) * T(:, 5) + R(:, i, 2) * T(:, 6) + R(:, i, 3) * T(:, 3)
+      rotated(:, i) = RT(:, i, 1) * R(:, i, 1) + RT(:, i, 2) * R(:, i, 2) + RT(:, i, 3) * R(:, i, 3)
+    end do
+    rotated(:, 4) = RT(:, 1, 1) * R(:, 2, 1) + RT(:, 1, 2) * R(:, 2, 2) + RT(:, 1, 3) * R(:, 2, 3)
+    rotated(:, 5) = RT(:, 1, 1) * R(:, 3, 1) + RT(:, 1, 2) * R(:, 3, 2) + RT(:, 1, 3) * R(:, 3, 3)
+    rotated(:, 6) = RT(:, 2, 1) * R(:, 3, 1) + RT(:, 2, 2) * R(:, 3, 2) + RT(:, 2, 3) * R(:, 3, 3)
   end function rotate
 
-  !> Strain (engineering shears) and spin of a displacement gradient G(j, i) = du_i/dx_j, laid out as C and numpy have it.
+  !> Strain (engineering shears) and spin of displacement gradients G(j, i) = du_i/dx_j, laid out as C and numpy have them.
   pure subroutine strain_and_spin(G, strain, spin)
-    real(dp), intent(in) :: G(3, 3)
-    real(dp), intent(out) :: strain(6), spin(3)
-    strain = [G(1, 1), G(2, 2), G(3, 3), G(1, 2) + G(2, 1), G(1, 3) + G(3, 1), G(2, 3) + G(3, 2)]
-    spin = [G(2, 1) - G(1, 2), G(3, 1) - G(1, 3), G(3, 2) - G(2, 3)] / 2
+    real(dp), intent(in) :: G(:, :, :)                       ! (3, 3, n), n <= LANES; the remaining lanes get zeros
+    real(dp), intent(out) :: strain(LANES, 6), spin(LANES, 3)
+    integer :: i
+
+    strain = 0
+    spin = 0
+    do i = 1, size(G, 3)
+      strain(i, :) = [G(1, 1, i), G(2, 2, i), G(3, 3, i), G(1, 2, i) + G(2, 1, i), G(1, 3, i) + G(3, 1, i), G(2, 3, i) + G(3, 2, i)]
+      spin(i, :) = [G(2, 1, i) - G(1, 2, i), G(3, 1, i) - G(1, 3, i), G(3, 2, i) - G(2, 3, i)] / 2
+    end do
   end subroutine strain_and_spin
 
 end module granumat_tensors

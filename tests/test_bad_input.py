@@ -24,7 +24,7 @@ def check(par, old, gradient):
     """One update through the core; returns its status."""
     new, status = np.full((1, 20), np.nan), np.full(1, -1, np.int32)
     kept = old.tobytes()
-    _core.core_update(par, old, gradient, new, status)
+    _core.core_update(1, par, old, gradient, new, status)
     assert old.tobytes() == kept
     if status[0]:
         assert new.tobytes() == kept

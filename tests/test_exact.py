@@ -55,8 +55,8 @@ def test_every_closure_and_contact_is_exact(closure, contact):
 
 
 @pytest.mark.parametrize("shear", [0.02, 0.2, 1.0])
-def test_error_stays_below_1e_11_across_phic(shear):
-    assert max(errors(4, 500, shear, across=True).values()) < 1e-11
+def test_error_stays_below_1e_10_across_phic(shear):
+    assert max(errors(4, 500, shear, across=True).values()) < 1e-10
 
 
 @pytest.mark.parametrize("shear", [0.002, 0.02, 0.1])

@@ -240,7 +240,7 @@ class Material:
 
     # ---- what the core does ----------------------------------------------------------------------------------------
 
-    def update(self, states, gradient, out=None):
+    def update(self, states, gradient, out=None, threads=1):
         """The states after an increment of deformation, exact for a velocity gradient constant over it.
 
         Parameters
@@ -250,6 +250,8 @@ class Material:
             du_i/dx_j of the increment; its skew part is the spin.
         out : record array (...) of dtype STATE, contiguous, optional
             Receives the result; may be `states` itself.
+        threads : int, optional
+            OpenMP threads that share the points; the result is the same, bit for bit.
 
         Returns
         -------
@@ -266,12 +268,14 @@ class Material:
         if gradient.shape != shape + (3, 3):
             raise ValueError(f"gradient has shape {gradient.shape}: must be {shape + (3, 3)} for states of shape {shape}")
         new = np.empty(shape, STATE) if out is None else out
+        if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+            raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
         if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
             raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
         if np.may_share_memory(old, new):
             old = old.copy()                                     # the core may not read what it writes
         status = np.zeros(old.size, np.int32)
-        _core.core_update(self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status)
+        _core.core_update(threads, self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status)
         records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         if status.any():
             first = int(np.flatnonzero(status)[0])
