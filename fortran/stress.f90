@@ -7,7 +7,7 @@ module granumat_stress
   use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_symmetric, times, trace
   implicit none (type, external)
   private
-  public :: evaluate, pressure_modulus, pressure, stress_deviator
+  public :: evaluate, pressure_modulus, pressure, pressure_change, friction, stress_deviator, stress_deviator_change
 
 contains
 
@@ -55,6 +55,35 @@ contains
     dev = dev + par%a3 * add_identity(product_symmetric(A, S_hat), -2 * x / 3)
     dev = times(-p, dev)
   end function stress_deviator
+
+  !> Change of the pressure with changes of A, of tr D^ and of Z2 - Zc.
+  pure function pressure_change(par, A, direction, excess, d_A, d_trace, d_excess) result(d_p)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 6), direction(LANES, 6), excess(LANES), d_A(LANES, 6), d_trace(LANES), d_excess(LANES)
+    real(dp) :: d_p(LANES), factor(LANES), d_factor(LANES), z(LANES)
+
+    z = max(excess, 0.0_dp)
+    factor = pressure_modulus(par, A, direction)
+    d_factor = par%g * d_trace
+    if (par%closure /= CRITICAL) d_factor = d_factor + par%a2 * contract(A, d_A) / (2 * max(modulus(A), tiny(1.0_dp)))
+    d_p = d_factor * z**2 + 2 * factor * z * d_excess
+    if (par%contact == HERTZIAN) d_p = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z * d_p
+  end function pressure_change
+
+  !> Change of the stress deviator with changes of A, S^ and p.
+  pure function stress_deviator_change(par, A, S_hat, p, d_A, d_S_hat, d_p) result(d_dev)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 6), S_hat(LANES, 6), p(LANES), d_A(LANES, 6), d_S_hat(LANES, 6), d_p(LANES)
+    real(dp) :: d_dev(LANES, 6), x(LANES), d_x(LANES), d_eta(LANES)
+
+    x = contract(A, S_hat)
+    d_x = contract(d_A, S_hat) + contract(A, d_S_hat)
+    d_eta = 0
+    if (par%closure /= CRITICAL) d_eta = d_x * (par%b2 + 2 * x * par%b3)
+    d_dev = times(-d_eta - par%a4 * d_x / 2, S_hat) + times(-friction(par, A, S_hat) - par%a4 * x / 2, d_S_hat) + par%a4 * d_A
+    d_dev = d_dev + par%a3 * add_identity(product_symmetric(d_A, S_hat) + product_symmetric(A, d_S_hat), -2 * d_x / 3)
+    d_dev = times(-p, d_dev) + stress_deviator(par, A, S_hat, d_p)
+  end function stress_deviator_change
 
   !> The model stress of states' microstructure in their direction, and eta; what the critical closure implies is set.
   pure subroutine evaluate(par, x, eta)
