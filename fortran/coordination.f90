@@ -70,17 +70,17 @@ contains
     end do
   end subroutine nodes
 
-  !> Z2 - Zc at the end, and if wanted at the nodes, from its value at t = 0.
-  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, phi, t, dt, excess_end, excess_nodes)
+  !> Z2 - Zc at the end (the last of excess_nodes) and, if wanted, at the nodes, from its value at t = 0.
+  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, phi, t, dt, at_nodes, excess_nodes)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: excess(LANES)                             ! Z2 - Zc at t = 0
     real(dp), intent(in) :: A_S(LANES, N_NODES)                       ! A:S at the nodes
     real(dp), intent(in), dimension(LANES) :: mod_S, mod_D, tr_D      ! |S|, |D|, tr D of the increment
     real(dp), intent(in) :: phi(LANES, N_NODES)                       ! phi at the nodes
     real(dp), intent(in) :: t(LANES, N_NODES), dt(LANES, N_NODES)
-    real(dp), intent(out) :: excess_end(LANES)
-    real(dp), intent(out), optional :: excess_nodes(LANES, N_NODES)
-    real(dp) :: decay(LANES), constant(LANES), growth(LANES, N_NODES), integrand(LANES, N_NODES)
+    logical, intent(in) :: at_nodes
+    real(dp), intent(out) :: excess_nodes(LANES, N_NODES + 1)
+    real(dp) :: excess_end(LANES), decay(LANES), constant(LANES), growth(LANES, N_NODES), integrand(LANES, N_NODES)
     integer :: i, j
 
     decay = par%d2 * mod_D
@@ -92,8 +92,8 @@ contains
         * (par%d1 * A_S(:, i) + decay * excess_coordination(par, phi(:, i) - par%phic) + constant)    ! (4.8)
       excess_end = excess_end + WEIGHT(i) * integrand(:, i)
     end do
-    excess_end = excess_end * exponential(-decay)
-    if (.not. present(excess_nodes)) return
+    excess_nodes(:, N_NODES + 1) = excess_end * exponential(-decay)
+    if (.not. at_nodes) return
     do i = 1, N_NODES
       excess_nodes(:, i) = excess
       do j = 1, N_NODES

@@ -5,10 +5,11 @@ module granumat_update
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, safe_modulus, times, trace
+  use granumat_increment, only: increment, inner_solution, internal, to_increment
+  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable
-  use granumat_fabric, only: fabric_solution, fabric_at, fabric_rate, projection_at, solve_fabric, y_at
+  use granumat_fabric, only: fabric_at, fabric_rate, projection_at, solve_fabric, y_at
   use granumat_coordination, only: N_NODES, excess_coordination, exponential, integrate_coordination, nodes
   use granumat_stress, only: pressure, pressure_modulus, stress_deviator
   use granumat_relaxation, only: relaxation_weights
@@ -22,24 +23,6 @@ module granumat_update
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
   real(dp), parameter :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)
   real(dp), parameter :: LARGEST_TRACE = 2.45_dp   ! of D^: sqrt(6)
-
-  !> A deformation with constant velocity gradient, and its invariants.
-  type :: increment
-    real(dp) :: direction(LANES, 6)    ! D^ = D/|D|
-    real(dp) :: S_hat(LANES, 6)        ! S/|D|
-    real(dp) :: mod_D(LANES)           ! |D|
-    real(dp) :: tr_D(LANES)
-    real(dp) :: spin(LANES, 3)         ! W12 W13 W23
-  end type increment
-
-  !> What evolves inside an increment, and how far it has come.
-  type :: internal
-    real(dp) :: A(LANES, 6)            ! fabric
-    real(dp) :: excess(LANES)          ! Z2 - Zc
-    real(dp) :: phi(LANES)
-    real(dp) :: e(LANES)               ! ln(phi/phic)
-    real(dp) :: dev(LANES, 6)          ! deviatoric stress, tension positive
-  end type internal
 
 contains
 
@@ -63,26 +46,6 @@ contains
     where (status == OK .and. .not. is_finite(new)) status = RESULT_NOT_FINITE
     if (any(status /= OK)) call restore(status /= OK, old, new)
   end subroutine update
-
-  !> The increment; none in lanes that are not wanted.
-  pure function to_increment(strain, spin, wanted) result(inc)
-    real(dp), intent(in) :: strain(LANES, 6), spin(LANES, 3)
-    logical, intent(in) :: wanted(LANES)
-    type(increment) :: inc
-    real(dp) :: D(LANES, 6)
-    integer :: k
-
-    do k = 1, 6
-      D(:, k) = merge(strain(:, k), 0.0_dp, wanted) * merge(1.0_dp, 0.5_dp, k <= 3)
-    end do
-    do k = 1, 3
-      inc%spin(:, k) = merge(spin(:, k), 0.0_dp, wanted)
-    end do
-    inc%mod_D = safe_modulus(D)
-    inc%direction = times(1 / max(inc%mod_D, tiny(1.0_dp)), D)
-    inc%S_hat = deviator(inc%direction)
-    inc%tr_D = trace(D)
-  end function to_increment
 
   pure subroutine restore(lane, old, new)
     logical, intent(in) :: lane(LANES)
@@ -162,7 +125,8 @@ contains
     real(dp), intent(in) :: share(LANES), e_end(LANES)
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
-    real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, mod_A
+    real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, e_next, mod_A
+    type(inner_solution) :: inner
     integer :: step
 
     mod_A = modulus(x%A)
@@ -175,7 +139,8 @@ contains
       if (any(mod_A > par%fabric_limit)) rate = merge(smooth_rate(par, inc, mod_A), rate, mod_A > par%fabric_limit)    ! may grow
       steps = rest * graded_rate(par, inc, x, mod_A, rate, e_end) / STEP_RATE
       next_rest = rest - rest / aint(1 + min(steps, real(MAX_STEPS, dp)))
-      call inner_step(par, inc, rest - next_rest, e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end), x, status)
+      e_next = e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end)
+      call inner_step(par, inc, rest - next_rest, e_next, x, inner, status)
       rest = merge(next_rest, 0.0_dp, status == OK)
       mod_A = modulus(x%A)
     end do
@@ -214,85 +179,89 @@ contains
     end if
   end function graded_rate
 
-  pure subroutine inner_step(par, inc, share, e_end, x, status)
+  !> One inner step.
+  pure subroutine inner_step(par, inc, share, e_end, x, step, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES)          ! of the increment
     real(dp), intent(in) :: e_end(LANES)          ! ln(phi/phic) at the end
     type(internal), intent(inout) :: x
+    type(inner_solution), intent(out) :: step
     integer, intent(inout) :: status(LANES)
-    type(fabric_solution) :: solution
-    real(dp), dimension(LANES) :: mod_D, tr_D
-    real(dp) :: w(LANES, 3), S(LANES, 6), A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)
-    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, A_S
+    real(dp) :: one(LANES)
     integer :: i
 
-    mod_D = share * inc%mod_D
-    tr_D = share * inc%tr_D
-    S = times(mod_D, inc%S_hat)
+    step%share = share
+    step%mod_D = share * inc%mod_D
+    step%tr_D = share * inc%tr_D
+    step%S = times(step%mod_D, inc%S_hat)
     do i = 1, 3
-      w(:, i) = share * inc%spin(:, i)
+      step%w(:, i) = share * inc%spin(:, i)
     end do
-    call nodes(x%e, e_end, t, dt)
+    call nodes(x%e, e_end, step%t, step%dt)
     do i = 1, N_NODES
-      phi(:, i) = x%phi * exponential(-tr_D * t(:, i))
+      step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
     end do
-    x%phi = x%phi * exponential(-tr_D)
+    x%phi = x%phi * exponential(-step%tr_D)
     x%e = e_end
     if (par%closure == CRITICAL) then
-      do i = 1, N_NODES
-        A(:, :, i) = par%lambda * inc%S_hat                                                  ! (A 9)
-        excess(:, i) = excess_coordination(par, phi(:, i) - par%phic)
-      end do
-      A(:, :, N_NODES + 1) = A(:, :, 1)
-      excess(:, N_NODES + 1) = excess_coordination(par, x%phi - par%phic)
+      call imply(par, inc, x%phi, step)
     else
-      call solve_fabric(par, x%A, S, mod_D, w, solution)
-      A(:, :, N_NODES + 1) = fabric_at(solution, spread(1.0_dp, 1, LANES))
-      where (status == OK .and. .not. (y_at(solution, spread(1.0_dp, 1, LANES)) > 0 &
-        .and. modulus(A(:, :, N_NODES + 1)) < REALISABLE)) status = FABRIC_BLOWS_UP
+      one = 1
+      call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
+      step%A(:, :, N_NODES + 1) = fabric_at(step%fabric, one)
+      where (status == OK .and. .not. (y_at(step%fabric, one) > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
+        status = FABRIC_BLOWS_UP
       do i = 1, N_NODES
-        A_S(:, i) = projection_at(solution, t(:, i))
+        step%A_S(:, i) = projection_at(step%fabric, step%t(:, i))
+        if (par%elastic_strain > 0) step%A(:, :, i) = fabric_at(step%fabric, step%t(:, i))
       end do
-      if (par%elastic_strain > 0) then
-        do i = 1, N_NODES
-          A(:, :, i) = fabric_at(solution, t(:, i))
-        end do
-        call integrate_coordination(par, x%excess, A_S, modulus(S), mod_D, tr_D, phi, t, dt, excess(:, N_NODES + 1), excess)
-      else
-        call integrate_coordination(par, x%excess, A_S, modulus(S), mod_D, tr_D, phi, t, dt, excess(:, N_NODES + 1))
-      end if
+      call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+        par%elastic_strain > 0, step%excess)
     end if
-    x%A = A(:, :, N_NODES + 1)
-    x%excess = excess(:, N_NODES + 1)
+    x%A = step%A(:, :, N_NODES + 1)
+    x%excess = step%excess(:, N_NODES + 1)
     if (par%elastic_strain > 0) then
-      call relax(par, inc, mod_D, w, t, A, excess, x%dev)
+      call relax(par, inc, step, x%dev)
     else
       x%dev = model_deviator(par, inc, x%A, x%excess)
     end if
   end subroutine inner_step
 
-  !> The deviatoric stress after an inner step with e_r > 0.
-  pure subroutine relax(par, inc, mod_D, w, t, A, excess, dev)
+  !> The microstructure that the critical closure implies, (A 9) and f(phi).
+  pure subroutine imply(par, inc, phi_end, step)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: mod_D(LANES), w(LANES, 3)                       ! of the inner step
-    real(dp), intent(in) :: t(LANES, N_NODES)
-    real(dp), intent(in) :: A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)     ! at t, and at the end
-    real(dp), intent(inout) :: dev(LANES, 6)
-    real(dp) :: ratio(LANES), u(LANES, N_NODES + 1), weights(LANES, N_NODES + 1), turned(LANES, 3)
-    integer :: i, k
+    real(dp), intent(in) :: phi_end(LANES)
+    type(inner_solution), intent(inout) :: step
+    integer :: i
 
-    ratio = mod_D / par%elastic_strain
-    u(:, :N_NODES) = 1 - t
+    do i = 1, N_NODES + 1
+      step%A(:, :, i) = par%lambda * inc%S_hat
+    end do
+    do i = 1, N_NODES
+      step%excess(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
+    end do
+    step%excess(:, N_NODES + 1) = excess_coordination(par, phi_end - par%phic)
+  end subroutine imply
+
+  !> The deviatoric stress after an inner step with e_r > 0.
+  pure subroutine relax(par, inc, step, dev)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(inner_solution), intent(in) :: step
+    real(dp), intent(inout) :: dev(LANES, 6)
+    real(dp) :: ratio(LANES), u(LANES, N_NODES + 1), weights(LANES, N_NODES + 1)
+    integer :: i
+
+    ratio = step%mod_D / par%elastic_strain
+    u(:, :N_NODES) = 1 - step%t
     u(:, N_NODES + 1) = 0
     weights = relaxation_weights(ratio, u)
-    dev = times(exp(-ratio), rotate(rotation(w), dev))
+    dev = times(exp(-ratio), rotate(rotation(step%w), dev))
     do i = 1, N_NODES + 1
-      do k = 1, 3
-        turned(:, k) = u(:, i) * w(:, k)
-      end do
-      dev = dev + times(weights(:, i), rotate(rotation(turned), model_deviator(par, inc, A(:, :, i), excess(:, i))))
+      dev = dev + times(weights(:, i), rotate(rotation(spread(u(:, i), 2, 3) * step%w), &
+        model_deviator(par, inc, step%A(:, :, i), step%excess(:, i))))
     end do
   end subroutine relax
 
