@@ -8,7 +8,7 @@ module granumat_coordination
   use granumat_tensors, only: LANES
   implicit none (type, external)
   private
-  public :: excess_coordination, nodes, integrate_coordination, exponential
+  public :: excess_coordination, excess_slope, nodes, integrate_coordination, vary_coordination, exponential
 
   integer, parameter, public :: N_NODES = 4
 
@@ -49,6 +49,14 @@ contains
     excess = par%beta1 * excess
   end function excess_coordination
 
+  !> df/dphi, from phi - phic.
+  pure function excess_slope(par, distance) result(slope)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: distance(LANES)
+    real(dp) :: slope(LANES)
+    slope = merge(par%beta2 * excess_coordination(par, distance) / max(distance, tiny(1.0_dp)), 0.0_dp, distance > 0)
+  end function excess_slope
+
   !> Gauss points over 0 <= t <= 1 while e = ln(phi/phic) goes from e_start to e_end, both of one sign: t and dt/dxi there.
   pure subroutine nodes(e_start, e_end, t, dt)
     real(dp), intent(in) :: e_start(LANES), e_end(LANES)
@@ -71,7 +79,8 @@ contains
   end subroutine nodes
 
   !> Z2 - Zc at the end (the last of excess_nodes) and, if wanted, at the nodes, from its value at t = 0.
-  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, phi, t, dt, at_nodes, excess_nodes)
+  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, phi, t, dt, at_nodes, &
+      growth, integrand, excess_nodes)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: excess(LANES)                             ! Z2 - Zc at t = 0
     real(dp), intent(in) :: A_S(LANES, N_NODES)                       ! A:S at the nodes
@@ -79,8 +88,9 @@ contains
     real(dp), intent(in) :: phi(LANES, N_NODES)                       ! phi at the nodes
     real(dp), intent(in) :: t(LANES, N_NODES), dt(LANES, N_NODES)
     logical, intent(in) :: at_nodes
+    real(dp), intent(out) :: growth(LANES, N_NODES), integrand(LANES, N_NODES)    ! exp(d2 |D| t), and with (4.8) dt/dxi
     real(dp), intent(out) :: excess_nodes(LANES, N_NODES + 1)
-    real(dp) :: excess_end(LANES), decay(LANES), constant(LANES), growth(LANES, N_NODES), integrand(LANES, N_NODES)
+    real(dp) :: excess_end(LANES), decay(LANES), constant(LANES)
     integer :: i, j
 
     decay = par%d2 * mod_D
@@ -102,5 +112,41 @@ contains
       excess_nodes(:, i) = excess_nodes(:, i) / growth(:, i)
     end do
   end subroutine integrate_coordination
+
+  !> The change of excess_nodes; growth, integrand and excess_nodes as found there.
+  pure subroutine vary_coordination(par, mod_D, phi, t, dt, at_nodes, growth, integrand, excess_nodes, &
+      d_excess, d_A_S, d_mod_S, d_mod_D, d_tr_D, d_log_phi, d_excess_nodes)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: mod_D(LANES)
+    real(dp), intent(in), dimension(LANES, N_NODES) :: phi, t, dt, growth, integrand
+    logical, intent(in) :: at_nodes
+    real(dp), intent(in) :: excess_nodes(LANES, N_NODES + 1)
+    real(dp), intent(in) :: d_A_S(LANES, N_NODES)
+    real(dp), intent(in), dimension(LANES) :: d_excess, d_mod_S, d_mod_D, d_tr_D, d_log_phi      ! d_log_phi: at t = 0
+    real(dp), intent(out) :: d_excess_nodes(LANES, N_NODES + 1)
+    real(dp), dimension(LANES) :: decay, d_decay, d_constant, d_end
+    real(dp) :: d_integrand(LANES, N_NODES)
+    integer :: i, j
+
+    decay = par%d2 * mod_D
+    d_decay = par%d2 * d_mod_D
+    d_constant = par%d3 * d_tr_D - par%d1 * par%chi * d_mod_S
+    d_end = d_excess
+    do i = 1, N_NODES
+      d_integrand(:, i) = d_decay * t(:, i) * integrand(:, i) + growth(:, i) * dt(:, i) * (par%d1 * d_A_S(:, i) + d_constant &
+        + d_decay * excess_coordination(par, phi(:, i) - par%phic) &
+        + decay * excess_slope(par, phi(:, i) - par%phic) * phi(:, i) * (d_log_phi - t(:, i) * d_tr_D))
+      d_end = d_end + WEIGHT(i) * d_integrand(:, i)
+    end do
+    d_excess_nodes(:, N_NODES + 1) = d_end * exponential(-decay) - d_decay * excess_nodes(:, N_NODES + 1)
+    if (.not. at_nodes) return
+    do i = 1, N_NODES
+      d_excess_nodes(:, i) = d_excess
+      do j = 1, N_NODES
+        d_excess_nodes(:, i) = d_excess_nodes(:, i) + INTEGRAL(j, i) * d_integrand(:, j)
+      end do
+      d_excess_nodes(:, i) = d_excess_nodes(:, i) / growth(:, i) - d_decay * t(:, i) * excess_nodes(:, i)
+    end do
+  end subroutine vary_coordination
 
 end module granumat_coordination

@@ -5,10 +5,10 @@
 module granumat_fabric
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters
-  use granumat_tensors, only: LANES, times
+  use granumat_tensors, only: LANES, corotate, times
   implicit none (type, external)
   private
-  public :: solve_fabric, fabric_at, y_at, projection_at, fabric_rate
+  public :: solve_fabric, vary_fabric, fabric_at, fabric_change_at, y_at, projection_at, projection_change_at, fabric_rate
 
   integer, parameter :: MAX_TERMS = 20
   real(dp), parameter :: SERIES_REST = 1.0e-17_dp   ! first neglected term over the solution: below round-off
@@ -18,6 +18,7 @@ module granumat_fabric
     integer :: terms
     real(dp) :: c3
     real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
+    real(dp) :: factor(LANES, MAX_TERMS)       ! 1/k, or 0 for terms that a lane does without
   end type fabric_solution
 
 contains
@@ -51,6 +52,7 @@ contains
       inverse = 1.0_dp / k
       do i = 1, LANES                          ! one fused loop, W B - B W written out: the hottest of all
         factor = merge(inverse, 0.0_dp, rest(i) >= SERIES_REST)     ! a lane's number of terms is its own
+        solution%factor(i, k) = factor
         source = factor * par%c1 * solution%y(i, k - 1)
         decay = factor * par%c2 * mod_D(i)
         w1 = factor * w(i, 1)
@@ -119,5 +121,89 @@ contains
     end do
     A_S = -dot_y / (solution%c3 * y)
   end function projection_at
+
+  !> The change of a solution with changes of the initial fabric and of the increment.
+  pure subroutine vary_fabric(par, solution, S, mod_D, w, d_A, d_S, d_mod_D, d_w, d_solution)
+    type(material_parameters), intent(in) :: par
+    type(fabric_solution), intent(in) :: solution
+    real(dp), intent(in) :: S(LANES, 6), mod_D(LANES), w(LANES, 3)
+    real(dp), intent(in) :: d_A(LANES, 6), d_S(LANES, 6), d_mod_D(LANES), d_w(LANES, 3)
+    type(fabric_solution), intent(out) :: d_solution
+    real(dp) :: factor, decay, d_decay, source, d_source, w1, w2, w3, B1, B2, B3, B4, B5, B6
+    integer :: i, k
+    logical :: spins
+
+    spins = any(abs(d_w) > 0)
+    d_solution%c3 = par%c3
+    d_solution%terms = solution%terms
+    d_solution%B(:, :, 0) = d_A
+    d_solution%y(:, 0) = 0
+    do k = 1, solution%terms
+      do i = 1, LANES                          ! as in solve_fabric
+        factor = solution%factor(i, k)
+        source = factor * par%c1 * solution%y(i, k - 1)
+        d_source = factor * par%c1 * d_solution%y(i, k - 1)
+        decay = factor * par%c2 * mod_D(i)
+        d_decay = factor * par%c2 * d_mod_D(i)
+        w1 = factor * w(i, 1)
+        w2 = factor * w(i, 2)
+        w3 = factor * w(i, 3)
+        B1 = d_solution%B(i, 1, k - 1)
+        B2 = d_solution%B(i, 2, k - 1)
+        B3 = d_solution%B(i, 3, k - 1)
+        B4 = d_solution%B(i, 4, k - 1)
+        B5 = d_solution%B(i, 5, k - 1)
+        B6 = d_solution%B(i, 6, k - 1)
+        d_solution%y(i, k) = -factor * par%c3 * (S(i, 1) * B1 + S(i, 2) * B2 + S(i, 3) * B3 &
+          + 2 * (S(i, 4) * B4 + S(i, 5) * B5 + S(i, 6) * B6) &
+          + d_S(i, 1) * solution%B(i, 1, k - 1) + d_S(i, 2) * solution%B(i, 2, k - 1) + d_S(i, 3) * solution%B(i, 3, k - 1) &
+          + 2 * (d_S(i, 4) * solution%B(i, 4, k - 1) + d_S(i, 5) * solution%B(i, 5, k - 1) + d_S(i, 6) * solution%B(i, 6, k - 1)))
+        d_solution%B(i, 1, k) = source * d_S(i, 1) + d_source * S(i, 1) + decay * B1 + d_decay * solution%B(i, 1, k - 1) &
+          + 2 * (w1 * B4 + w2 * B5)
+        d_solution%B(i, 2, k) = source * d_S(i, 2) + d_source * S(i, 2) + decay * B2 + d_decay * solution%B(i, 2, k - 1) &
+          + 2 * (w3 * B6 - w1 * B4)
+        d_solution%B(i, 3, k) = source * d_S(i, 3) + d_source * S(i, 3) + decay * B3 + d_decay * solution%B(i, 3, k - 1) &
+          - 2 * (w2 * B5 + w3 * B6)
+        d_solution%B(i, 4, k) = source * d_S(i, 4) + d_source * S(i, 4) + decay * B4 + d_decay * solution%B(i, 4, k - 1) &
+          + (w1 * (B2 - B1) + w2 * B6 + w3 * B5)
+        d_solution%B(i, 5, k) = source * d_S(i, 5) + d_source * S(i, 5) + decay * B5 + d_decay * solution%B(i, 5, k - 1) &
+          + (w2 * (B3 - B1) + w1 * B6 - w3 * B4)
+        d_solution%B(i, 6, k) = source * d_S(i, 6) + d_source * S(i, 6) + decay * B6 + d_decay * solution%B(i, 6, k - 1) &
+          + (w3 * (B3 - B2) - w1 * B5 - w2 * B4)
+      end do
+      if (spins) d_solution%B(:, :, k) = d_solution%B(:, :, k) &
+        + times(solution%factor(:, k), corotate(d_w, solution%B(:, :, k - 1)))
+    end do
+  end subroutine vary_fabric
+
+  !> Change of A at t, where it is A.
+  pure function fabric_change_at(solution, d_solution, A, t) result(d_A)
+    type(fabric_solution), intent(in) :: solution, d_solution
+    real(dp), intent(in) :: A(LANES, 6), t(LANES)
+    real(dp) :: d_A(LANES, 6)
+    integer :: k
+
+    d_A = d_solution%B(:, :, d_solution%terms)
+    do k = d_solution%terms - 1, 0, -1
+      d_A = times(t, d_A) + d_solution%B(:, :, k)
+    end do
+    d_A = times(1 / y_at(solution, t), d_A - times(y_at(d_solution, t), A))
+  end function fabric_change_at
+
+  !> Change of A:S at t, where it is A_S.
+  pure function projection_change_at(solution, d_solution, A_S, t) result(d_A_S)
+    type(fabric_solution), intent(in) :: solution, d_solution
+    real(dp), intent(in) :: A_S(LANES), t(LANES)
+    real(dp) :: d_A_S(LANES), y(LANES), dot_y(LANES)
+    integer :: k
+
+    y = d_solution%y(:, d_solution%terms)
+    dot_y = 0
+    do k = d_solution%terms - 1, 0, -1
+      dot_y = dot_y * t + y
+      y = y * t + d_solution%y(:, k)
+    end do
+    d_A_S = -(dot_y / solution%c3 + A_S * y) / y_at(solution, t)
+  end function projection_change_at
 
 end module granumat_fabric

@@ -29,9 +29,9 @@ module granumat_increment
 
   !> An inner step, a share of the increment, 0 <= t <= 1: its fabric, and what is met at the nodes and (last) at the end.
   type, public :: inner_solution
-    real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), S(LANES, 6), w(LANES, 3)
+    real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 6), w(LANES, 3)
     type(fabric_solution) :: fabric
-    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, A_S
+    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, A_S, growth, integrand
     real(dp) :: A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)    ! at the nodes only with e_r > 0
   end type inner_solution
 

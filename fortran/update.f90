@@ -13,6 +13,7 @@ module granumat_update
   use granumat_coordination, only: N_NODES, excess_coordination, exponential, integrate_coordination, nodes
   use granumat_stress, only: pressure, pressure_modulus, stress_deviator
   use granumat_relaxation, only: relaxation_weights
+  use granumat_tangent, only: variation, start_variations, stress_changes, vary_inner_step
   implicit none (type, external)
   private
   public :: update
@@ -21,31 +22,62 @@ module granumat_update
   real(dp), parameter :: FINER = 1.5_dp          ! with e_r > 0: interpolation in the kernel has half the order of Gauss's rule
   integer, parameter :: MAX_STEPS = 10000
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
+  real(dp), parameter :: REFERENCE_STRAIN = 1.0e-4_dp   ! |D| of the tangent at D = 0
   real(dp), parameter :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)
   real(dp), parameter :: LARGEST_TRACE = 2.45_dp   ! of D^: sqrt(6)
 
 contains
 
-  !> Brings states over their strain increments. Where the status is not OK, the new state is the old one.
-  pure subroutine update(par, old, strain, spin, new, status)
+  !> Brings states over their strain increments. Where the status is not OK, the new state is the old one, the tangent 0.
+  pure subroutine update(par, old, strain, spin, new, status, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)    ! increments: 11 22 33 and engineering shears 12 13 23
     real(dp), intent(in) :: spin(LANES, 3)      ! increments of W12 W13 W23, W_ij = (du_i/dx_j - du_j/dx_i)/2
     type(lane_state), intent(out) :: new
     integer, intent(out) :: status(LANES)
+    real(dp), intent(out), optional :: tangent(:, :, :)    ! (LANES, 6, 6 or 9): d stress_i / d (strain_j, spin_j)
     type(increment) :: inc
+    type(variation), allocatable :: change(:)
     logical :: moves(LANES)
+    integer :: j
 
     status = check_state(old)
     where (status == OK .and. .not. (sum(abs(strain), 2) + sum(abs(spin), 2) <= huge(1.0_dp))) status = NOT_FINITE
     inc = to_increment(strain, spin, status == OK)
     moves = inc%mod_D > 0
-    call deform(par, old, inc, new, status)
+    if (present(tangent)) then
+      if (.not. all(moves)) inc = to_increment(strain_or_reference(old, strain, moves), spin, status == OK)
+      allocate (change(size(tangent, 3)))
+      call start_variations(inc, change)
+      call deform(par, old, inc, new, status, change, tangent)
+    else
+      call deform(par, old, inc, new, status)
+    end if
     if (.not. all(moves)) call turn(old, inc%spin, moves, new)
     where (status == OK .and. .not. is_finite(new)) status = RESULT_NOT_FINITE
     if (any(status /= OK)) call restore(status /= OK, old, new)
+    if (present(tangent) .and. any(status /= OK)) then
+      do j = 1, size(tangent, 3)
+        tangent(:, :, j) = merge(tangent(:, :, j), 0.0_dp, spread(status == OK, 2, 6))
+      end do
+    end if
   end subroutine update
+
+  !> For the tangent at D = 0: a small strain along the last direction, or isotropic compression before any.
+  pure function strain_or_reference(old, strain, moves) result(reference)
+    type(lane_state), intent(in) :: old
+    real(dp), intent(in) :: strain(LANES, 6)
+    logical, intent(in) :: moves(LANES)
+    real(dp) :: reference(LANES, 6), none(LANES)
+    integer :: k
+
+    none = merge(1.0_dp, 0.0_dp, modulus(old%direction) <= 0)
+    do k = 1, 6
+      reference(:, k) = old%direction(:, k) * merge(1.0_dp, 2.0_dp, k <= 3) - merge(none, 0 * none, k <= 3) * sqrt(2.0_dp / 3)
+      reference(:, k) = merge(strain(:, k), REFERENCE_STRAIN * reference(:, k), moves)
+    end do
+  end function strain_or_reference
 
   pure subroutine restore(lane, old, new)
     logical, intent(in) :: lane(LANES)
@@ -82,12 +114,14 @@ contains
   end subroutine turn
 
   !> D /= 0: splits the increment where phi crosses phic, and each part into inner steps.
-  pure subroutine deform(par, old, inc, new, status)
+  pure subroutine deform(par, old, inc, new, status, change, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
+    type(variation), intent(inout), optional :: change(:)
+    real(dp), intent(out), optional :: tangent(:, :, :)
     type(internal) :: x
     real(dp), dimension(LANES) :: e_end, crossing, factor
     integer :: k
@@ -106,8 +140,8 @@ contains
     e_end = x%e - inc%tr_D
     crossing = 1
     where (x%e * e_end < 0) crossing = x%e / inc%tr_D
-    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status)
-    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status)
+    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status, change)
+    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status, change)
 
     factor = pressure_modulus(par, x%A, inc%direction)
     where (status == OK .and. factor < 0) status = TENSILE_PRESSURE
@@ -116,15 +150,18 @@ contains
     new%coordination_number = par%Zc + x%excess
     new%direction = inc%direction
     new%stress = add_identity(x%dev, -pressure(par, factor, x%excess))
+    if (present(tangent)) call stress_changes(par, inc, x, change, tangent)
   end subroutine deform
 
   !> Inner steps over the given share of the increment; phi stays on one side of phic.
-  pure subroutine integrate(par, inc, share, e_end, x, status)
+  pure subroutine integrate(par, inc, share, e_end, x, status, change)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES), e_end(LANES)
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
+    type(variation), intent(inout), optional :: change(:)
+    type(internal) :: before
     real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, e_next, mod_A
     type(inner_solution) :: inner
     integer :: step
@@ -140,7 +177,9 @@ contains
       steps = rest * graded_rate(par, inc, x, mod_A, rate, e_end) / STEP_RATE
       next_rest = rest - rest / aint(1 + min(steps, real(MAX_STEPS, dp)))
       e_next = e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end)
+      if (present(change)) before = x
       call inner_step(par, inc, rest - next_rest, e_next, x, inner, status)
+      if (present(change)) call vary_inner_step(par, inc, before, inner, change)
       rest = merge(next_rest, 0.0_dp, status == OK)
       mod_A = modulus(x%A)
     end do
@@ -203,9 +242,10 @@ contains
       step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
     end do
     x%phi = x%phi * exponential(-step%tr_D)
+    step%phi_end = x%phi
     x%e = e_end
     if (par%closure == CRITICAL) then
-      call imply(par, inc, x%phi, step)
+      call imply(par, inc, step)
     else
       one = 1
       call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
@@ -217,7 +257,7 @@ contains
         if (par%elastic_strain > 0) step%A(:, :, i) = fabric_at(step%fabric, step%t(:, i))
       end do
       call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
-        par%elastic_strain > 0, step%excess)
+        par%elastic_strain > 0, step%growth, step%integrand, step%excess)
     end if
     x%A = step%A(:, :, N_NODES + 1)
     x%excess = step%excess(:, N_NODES + 1)
@@ -229,10 +269,9 @@ contains
   end subroutine inner_step
 
   !> The microstructure that the critical closure implies, (A 9) and f(phi).
-  pure subroutine imply(par, inc, phi_end, step)
+  pure subroutine imply(par, inc, step)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: phi_end(LANES)
     type(inner_solution), intent(inout) :: step
     integer :: i
 
@@ -242,7 +281,7 @@ contains
     do i = 1, N_NODES
       step%excess(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
     end do
-    step%excess(:, N_NODES + 1) = excess_coordination(par, phi_end - par%phic)
+    step%excess(:, N_NODES + 1) = excess_coordination(par, step%phi_end - par%phic)
   end subroutine imply
 
   !> The deviatoric stress after an inner step with e_r > 0.

@@ -1,0 +1,169 @@
+!> The consistent tangent of the exact update, in closed form: what follows the state through the inner steps are its changes with
+!! each strain component at fixed spin and, if wanted, with each spin component at fixed strain.
+module granumat_tangent
+  use granumat_kinds, only: dp
+  use granumat_coordination, only: N_NODES, excess_slope, vary_coordination
+  use granumat_fabric, only: fabric_change_at, fabric_solution, projection_change_at, vary_fabric
+  use granumat_increment, only: increment, inner_solution, internal
+  use granumat_parameters, only: material_parameters, CRITICAL
+  use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
+  use granumat_stress, only: pressure, pressure_change, pressure_modulus, stress_deviator, stress_deviator_change
+  use granumat_tensors, only: LANES, add_identity, contract, corotate, deviator, modulus, rotate, rotation, rotation_change, &
+    times, trace
+  implicit none (type, external)
+  private
+  public :: start_variations, vary_inner_step, stress_changes
+
+  integer, parameter, public :: N_STRAINS = 6, MAX_SEEDS = 9
+
+  !> Changes with one strain or spin component: of the whole increment, then of what has evolved so far.
+  type, public :: variation
+    real(dp) :: S(LANES, 6), S_hat(LANES, 6), w(LANES, 3)
+    real(dp), dimension(LANES) :: mod_D, mod_S, tr_D, trace_direction
+    real(dp) :: A(LANES, 6), dev(LANES, 6), excess(LANES), log_phi(LANES)
+  end type variation
+
+contains
+
+  !> Changes of the increment with 11 22 33, the engineering shears 12 13 23, and the spins 12 13 23.
+  pure subroutine start_variations(inc, change)
+    type(increment), intent(in) :: inc
+    type(variation), intent(out) :: change(:)
+    real(dp) :: d_D(LANES, 6), d_direction(LANES, 6), mod_S(LANES)
+    integer :: j
+
+    mod_S = modulus(inc%S_hat)                           ! over |D|
+    do j = 1, size(change)
+      d_D = 0
+      change(j)%w = 0
+      if (j <= 3) d_D(:, j) = 1
+      if (j > 3 .and. j <= N_STRAINS) d_D(:, j) = 0.5_dp
+      if (j > N_STRAINS) change(j)%w(:, j - N_STRAINS) = 1
+      change(j)%mod_D = contract(inc%direction, d_D) / 2
+      change(j)%tr_D = trace(d_D)
+      change(j)%S = deviator(d_D)
+      change(j)%mod_S = contract(inc%S_hat, change(j)%S) / (2 * max(mod_S, tiny(1.0_dp)))
+      d_direction = times(1 / max(inc%mod_D, tiny(1.0_dp)), d_D - times(change(j)%mod_D, inc%direction))
+      change(j)%S_hat = deviator(d_direction)
+      change(j)%trace_direction = trace(d_direction)
+      change(j)%A = 0
+      change(j)%dev = 0
+      change(j)%excess = 0
+      change(j)%log_phi = 0
+    end do
+  end subroutine start_variations
+
+  !> Carries the changes over an inner step.
+  pure subroutine vary_inner_step(par, inc, before, step, change)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(in) :: before                 ! where the inner step started
+    type(inner_solution), intent(in) :: step
+    type(variation), intent(inout) :: change(:)
+    type(fabric_solution) :: d_fabric
+    real(dp) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1), d_A_S(LANES, N_NODES)
+    integer :: i, j
+
+    do j = 1, size(change)
+      associate (c => change(j))
+        if (par%closure == CRITICAL) then
+          call vary_implied(par, step, c, d_A, d_excess)
+        else
+          call vary_fabric(par, step%fabric, step%S, step%mod_D, step%w, &
+            c%A, times(step%share, c%S), step%share * c%mod_D, spread(step%share, 2, 3) * c%w, d_fabric)
+          do i = 1, N_NODES
+            d_A_S(:, i) = projection_change_at(step%fabric, d_fabric, step%A_S(:, i), step%t(:, i))
+            if (par%elastic_strain > 0) d_A(:, :, i) = fabric_change_at(step%fabric, d_fabric, step%A(:, :, i), step%t(:, i))
+          end do
+          d_A(:, :, N_NODES + 1) = fabric_change_at(step%fabric, d_fabric, step%A(:, :, N_NODES + 1), spread(1.0_dp, 1, LANES))
+          call vary_coordination(par, step%mod_D, step%phi, step%t, step%dt, par%elastic_strain > 0, step%growth, step%integrand, &
+            step%excess, c%excess, d_A_S, step%share * c%mod_S, step%share * c%mod_D, step%share * c%tr_D, c%log_phi, d_excess)
+        end if
+        if (par%elastic_strain > 0) call vary_relaxation(par, inc, before%dev, step, d_A, d_excess, c)
+        c%A = d_A(:, :, N_NODES + 1)
+        c%excess = d_excess(:, N_NODES + 1)
+        c%log_phi = c%log_phi - step%share * c%tr_D
+      end associate
+    end do
+  end subroutine vary_inner_step
+
+  !> Changes of what the critical closure implies: A = lambda S^, Z2 = f(phi).
+  pure subroutine vary_implied(par, step, change, d_A, d_excess)
+    type(material_parameters), intent(in) :: par
+    type(inner_solution), intent(in) :: step
+    type(variation), intent(in) :: change
+    real(dp), intent(out) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
+    real(dp) :: t(LANES, N_NODES + 1), phi(LANES, N_NODES + 1)
+    integer :: i
+
+    t(:, :N_NODES) = step%t
+    t(:, N_NODES + 1) = 1
+    phi(:, :N_NODES) = step%phi
+    phi(:, N_NODES + 1) = step%phi_end
+    do i = 1, N_NODES + 1
+      d_A(:, :, i) = par%lambda * change%S_hat
+      d_excess(:, i) = excess_slope(par, phi(:, i) - par%phic) * phi(:, i) * (change%log_phi - t(:, i) * step%share * change%tr_D)
+    end do
+  end subroutine vary_implied
+
+  !> Change of the relaxing deviator.
+  pure subroutine vary_relaxation(par, inc, dev, step, d_A, d_excess, change)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: dev(LANES, 6)                ! before the step
+    type(inner_solution), intent(in) :: step
+    real(dp), intent(in) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
+    type(variation), intent(inout) :: change
+    real(dp) :: ratio(LANES), d_ratio(LANES), u(LANES, N_NODES + 1), w(LANES, 3), R(LANES, 3, 3)
+    real(dp), dimension(LANES, N_NODES + 1) :: weights, slopes
+    real(dp), dimension(LANES, 6) :: turned, d_dev
+    real(dp) :: p(LANES), d_p(LANES)
+    integer :: i
+
+    ratio = step%mod_D / par%elastic_strain
+    d_ratio = step%share * change%mod_D / par%elastic_strain
+    u(:, :N_NODES) = 1 - step%t
+    u(:, N_NODES + 1) = 0
+    weights = relaxation_weights(ratio, u)
+    slopes = relaxation_weights_slope(ratio, u)
+    R = rotation(step%w)
+    turned = times(exp(-ratio), rotate(R, dev))
+    d_dev = times(exp(-ratio), rotate(R, change%dev)) - times(d_ratio, turned) &
+      + corotate(rotation_change(step%w, spread(step%share, 2, 3) * change%w), turned)
+    do i = 1, N_NODES + 1
+      w = spread(u(:, i), 2, 3) * step%w
+      R = rotation(w)
+      p = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
+      d_p = pressure_change(par, step%A(:, :, i), inc%direction, step%excess(:, i), d_A(:, :, i), change%trace_direction, &
+        d_excess(:, i))
+      turned = rotate(R, stress_deviator(par, step%A(:, :, i), inc%S_hat, p))
+      d_dev = d_dev + times(slopes(:, i) * d_ratio, turned) &
+        + times(weights(:, i), corotate(rotation_change(w, spread(u(:, i) * step%share, 2, 3) * change%w), turned)) &
+        + times(weights(:, i), rotate(R, &
+          stress_deviator_change(par, step%A(:, :, i), inc%S_hat, p, d_A(:, :, i), change%S_hat, d_p)))
+    end do
+    change%dev = d_dev
+  end subroutine vary_relaxation
+
+  !> d stress_i / d (strain_j, spin_j) at the end of the increment, tension positive, engineering shear strains.
+  pure subroutine stress_changes(par, inc, x, change, tangent)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(in) :: x
+    type(variation), intent(in) :: change(:)
+    real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, size(change))
+    real(dp) :: p(LANES), d_p(LANES), d_dev(LANES, 6)
+    integer :: j
+
+    p = pressure(par, pressure_modulus(par, x%A, inc%direction), x%excess)
+    do j = 1, size(change)
+      associate (c => change(j))
+        d_p = pressure_change(par, x%A, inc%direction, x%excess, c%A, c%trace_direction, c%excess)
+        d_dev = c%dev
+        if (.not. par%elastic_strain > 0) d_dev = stress_deviator_change(par, x%A, inc%S_hat, p, c%A, c%S_hat, d_p)
+        tangent(:, :, j) = add_identity(d_dev, -d_p)
+      end associate
+    end do
+  end subroutine stress_changes
+
+end module granumat_tangent
