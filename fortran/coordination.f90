@@ -8,16 +8,16 @@ module granumat_coordination
   use granumat_tensors, only: LANES
   implicit none (type, external)
   private
-  public :: excess_coordination, excess_slope, nodes, integrate_coordination, vary_coordination, exponential
+  public :: excess_coordination, excess_slope, nodes, integrate_coordination, exponential
 
   integer, parameter, public :: N_NODES = 4
 
   ! Gauss-Legendre points and weights on [0, 1]; INTEGRAL(j, i): the j-th Lagrange polynomial integrated up to point i.
   real(dp), parameter :: POINT(N_NODES) = [ &
     0.0694318442029737124_dp, 0.330009478207571868_dp, 0.669990521792428132_dp, 0.930568155797026288_dp]
-  real(dp), parameter :: WEIGHT(N_NODES) = [ &
+  real(dp), parameter, public :: WEIGHT(N_NODES) = [ &
     0.173927422568726929_dp, 0.326072577431273071_dp, 0.326072577431273071_dp, 0.173927422568726929_dp]
-  real(dp), parameter :: INTEGRAL(N_NODES, N_NODES) = transpose(reshape([ &
+  real(dp), parameter, public :: INTEGRAL(N_NODES, N_NODES) = transpose(reshape([ &
     0.0869637112843634643_dp, 0.188118117499868072_dp, 0.167191921974188773_dp, 0.177482572254522612_dp, &
     -0.0266041800849987933_dp, 0.163036288715636536_dp, 0.353953006033743967_dp, 0.313445114741868347_dp, &
     0.0126274626894047245_dp, -0.0278804286024708952_dp, 0.163036288715636536_dp, 0.352676757516271865_dp, &
@@ -112,41 +112,5 @@ contains
       excess_nodes(:, i) = excess_nodes(:, i) / growth(:, i)
     end do
   end subroutine integrate_coordination
-
-  !> The change of excess_nodes; growth, integrand and excess_nodes as found there.
-  pure subroutine vary_coordination(par, mod_D, phi, t, dt, at_nodes, growth, integrand, excess_nodes, &
-      d_excess, d_A_S, d_mod_S, d_mod_D, d_tr_D, d_log_phi, d_excess_nodes)
-    type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: mod_D(LANES)
-    real(dp), intent(in), dimension(LANES, N_NODES) :: phi, t, dt, growth, integrand
-    logical, intent(in) :: at_nodes
-    real(dp), intent(in) :: excess_nodes(LANES, N_NODES + 1)
-    real(dp), intent(in) :: d_A_S(LANES, N_NODES)
-    real(dp), intent(in), dimension(LANES) :: d_excess, d_mod_S, d_mod_D, d_tr_D, d_log_phi      ! d_log_phi: at t = 0
-    real(dp), intent(out) :: d_excess_nodes(LANES, N_NODES + 1)
-    real(dp), dimension(LANES) :: decay, d_decay, d_constant, d_end
-    real(dp) :: d_integrand(LANES, N_NODES)
-    integer :: i, j
-
-    decay = par%d2 * mod_D
-    d_decay = par%d2 * d_mod_D
-    d_constant = par%d3 * d_tr_D - par%d1 * par%chi * d_mod_S
-    d_end = d_excess
-    do i = 1, N_NODES
-      d_integrand(:, i) = d_decay * t(:, i) * integrand(:, i) + growth(:, i) * dt(:, i) * (par%d1 * d_A_S(:, i) + d_constant &
-        + d_decay * excess_coordination(par, phi(:, i) - par%phic) &
-        + decay * excess_slope(par, phi(:, i) - par%phic) * phi(:, i) * (d_log_phi - t(:, i) * d_tr_D))
-      d_end = d_end + WEIGHT(i) * d_integrand(:, i)
-    end do
-    d_excess_nodes(:, N_NODES + 1) = d_end * exponential(-decay) - d_decay * excess_nodes(:, N_NODES + 1)
-    if (.not. at_nodes) return
-    do i = 1, N_NODES
-      d_excess_nodes(:, i) = d_excess
-      do j = 1, N_NODES
-        d_excess_nodes(:, i) = d_excess_nodes(:, i) + INTEGRAL(j, i) * d_integrand(:, j)
-      end do
-      d_excess_nodes(:, i) = d_excess_nodes(:, i) / growth(:, i) - d_decay * t(:, i) * excess_nodes(:, i)
-    end do
-  end subroutine vary_coordination
 
 end module granumat_coordination

@@ -8,7 +8,7 @@ module granumat_fabric
   use granumat_tensors, only: LANES, corotate, times
   implicit none (type, external)
   private
-  public :: solve_fabric, vary_fabric, fabric_at, fabric_change_at, y_at, projection_at, projection_change_at, fabric_rate
+  public :: solve_fabric, vary_fabric, fabric_at, fabric_rate, projections_at, series_at, slopes_at, y_at
 
   integer, parameter :: MAX_TERMS = 20
   real(dp), parameter :: SERIES_REST = 1.0e-17_dp   ! first neglected term over the solution: below round-off
@@ -84,14 +84,21 @@ contains
     type(fabric_solution), intent(in) :: solution
     real(dp), intent(in) :: t(LANES)
     real(dp) :: A(LANES, 6)
+    A = times(1 / y_at(solution, t), series_at(solution, t))
+  end function fabric_at
+
+  !> B at t.
+  pure function series_at(solution, t) result(B)
+    type(fabric_solution), intent(in) :: solution
+    real(dp), intent(in) :: t(LANES)
+    real(dp) :: B(LANES, 6)
     integer :: k
 
-    A = solution%B(:, :, solution%terms)
+    B = solution%B(:, :, solution%terms)
     do k = solution%terms - 1, 0, -1
-      A = times(t, A) + solution%B(:, :, k)
+      B = times(t, B) + solution%B(:, :, k)
     end do
-    A = times(1 / y_at(solution, t), A)
-  end function fabric_at
+  end function series_at
 
   !> y at t: positive as long as the fabric has not blown up.
   pure function y_at(solution, t) result(y)
@@ -106,21 +113,36 @@ contains
     end do
   end function y_at
 
-  !> A:S = -y'/(c3 y) at t.
-  pure function projection_at(solution, t) result(A_S)
+  !> y and y' at n places t.
+  pure subroutine slopes_at(solution, n, t, y, dot_y)
     type(fabric_solution), intent(in) :: solution
-    real(dp), intent(in) :: t(LANES)
-    real(dp) :: A_S(LANES), y(LANES), dot_y(LANES)
-    integer :: k
+    integer, intent(in) :: n
+    real(dp), intent(in) :: t(LANES, n)
+    real(dp), intent(out) :: y(LANES, n), dot_y(LANES, n)
+    integer :: i, j, k
 
-    y = solution%y(:, solution%terms)
+    y = spread(solution%y(:, solution%terms), 2, n)
     dot_y = 0
     do k = solution%terms - 1, 0, -1
-      dot_y = dot_y * t + y
-      y = y * t + solution%y(:, k)
+      do j = 1, n
+        do i = 1, LANES
+          dot_y(i, j) = dot_y(i, j) * t(i, j) + y(i, j)
+          y(i, j) = y(i, j) * t(i, j) + solution%y(i, k)
+        end do
+      end do
     end do
+  end subroutine slopes_at
+
+  !> A:S = -y'/(c3 y) at n places t.
+  pure subroutine projections_at(solution, n, t, A_S)
+    type(fabric_solution), intent(in) :: solution
+    integer, intent(in) :: n
+    real(dp), intent(in) :: t(LANES, n)
+    real(dp), intent(out) :: A_S(LANES, n)
+    real(dp) :: y(LANES, n), dot_y(LANES, n)
+    call slopes_at(solution, n, t, y, dot_y)
     A_S = -dot_y / (solution%c3 * y)
-  end function projection_at
+  end subroutine projections_at
 
   !> The change of a solution with changes of the initial fabric and of the increment.
   pure subroutine vary_fabric(par, solution, S, mod_D, w, d_A, d_S, d_mod_D, d_w, d_solution)
@@ -175,35 +197,5 @@ contains
         + times(solution%factor(:, k), corotate(d_w, solution%B(:, :, k - 1)))
     end do
   end subroutine vary_fabric
-
-  !> Change of A at t, where it is A.
-  pure function fabric_change_at(solution, d_solution, A, t) result(d_A)
-    type(fabric_solution), intent(in) :: solution, d_solution
-    real(dp), intent(in) :: A(LANES, 6), t(LANES)
-    real(dp) :: d_A(LANES, 6)
-    integer :: k
-
-    d_A = d_solution%B(:, :, d_solution%terms)
-    do k = d_solution%terms - 1, 0, -1
-      d_A = times(t, d_A) + d_solution%B(:, :, k)
-    end do
-    d_A = times(1 / y_at(solution, t), d_A - times(y_at(d_solution, t), A))
-  end function fabric_change_at
-
-  !> Change of A:S at t, where it is A_S.
-  pure function projection_change_at(solution, d_solution, A_S, t) result(d_A_S)
-    type(fabric_solution), intent(in) :: solution, d_solution
-    real(dp), intent(in) :: A_S(LANES), t(LANES)
-    real(dp) :: d_A_S(LANES), y(LANES), dot_y(LANES)
-    integer :: k
-
-    y = d_solution%y(:, d_solution%terms)
-    dot_y = 0
-    do k = d_solution%terms - 1, 0, -1
-      dot_y = dot_y * t + y
-      y = y * t + d_solution%y(:, k)
-    end do
-    d_A_S = -(dot_y / solution%c3 + A_S * y) / y_at(solution, t)
-  end function projection_change_at
 
 end module granumat_fabric

@@ -2,8 +2,8 @@
 !! each strain component at fixed spin and, if wanted, with each spin component at fixed strain.
 module granumat_tangent
   use granumat_kinds, only: dp
-  use granumat_coordination, only: N_NODES, excess_slope, vary_coordination
-  use granumat_fabric, only: fabric_change_at, fabric_solution, projection_change_at, vary_fabric
+  use granumat_coordination, only: INTEGRAL, N_NODES, WEIGHT, excess_coordination, excess_slope, exponential
+  use granumat_fabric, only: fabric_solution, series_at, slopes_at, vary_fabric, y_at
   use granumat_increment, only: increment, inner_solution, internal
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
@@ -22,6 +22,12 @@ module granumat_tangent
     real(dp), dimension(LANES) :: mod_D, mod_S, tr_D, trace_direction
     real(dp) :: A(LANES, 6), dev(LANES, 6), excess(LANES), log_phi(LANES)
   end type variation
+
+  !> What the changes of an inner step share: 1/y, f, d2 |D| phi df/dphi at the nodes (and the end), exp(-d2 |D|).
+  type :: shared_factors
+    real(dp) :: inverse_y(LANES, N_NODES + 1), decay(LANES)
+    real(dp), dimension(LANES, N_NODES) :: f, f_slope
+  end type shared_factors
 
 contains
 
@@ -61,31 +67,87 @@ contains
     type(inner_solution), intent(in) :: step
     type(variation), intent(inout) :: change(:)
     type(fabric_solution) :: d_fabric
-    real(dp) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1), d_A_S(LANES, N_NODES)
-    integer :: i, j
+    type(shared_factors) :: factors
+    real(dp) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
+    integer :: j
 
+    factors = factors_of(par, step)
     do j = 1, size(change)
-      associate (c => change(j))
-        if (par%closure == CRITICAL) then
-          call vary_implied(par, step, c, d_A, d_excess)
-        else
-          call vary_fabric(par, step%fabric, step%S, step%mod_D, step%w, &
-            c%A, times(step%share, c%S), step%share * c%mod_D, spread(step%share, 2, 3) * c%w, d_fabric)
-          do i = 1, N_NODES
-            d_A_S(:, i) = projection_change_at(step%fabric, d_fabric, step%A_S(:, i), step%t(:, i))
-            if (par%elastic_strain > 0) d_A(:, :, i) = fabric_change_at(step%fabric, d_fabric, step%A(:, :, i), step%t(:, i))
-          end do
-          d_A(:, :, N_NODES + 1) = fabric_change_at(step%fabric, d_fabric, step%A(:, :, N_NODES + 1), spread(1.0_dp, 1, LANES))
-          call vary_coordination(par, step%mod_D, step%phi, step%t, step%dt, par%elastic_strain > 0, step%growth, step%integrand, &
-            step%excess, c%excess, d_A_S, step%share * c%mod_S, step%share * c%mod_D, step%share * c%tr_D, c%log_phi, d_excess)
-        end if
-        if (par%elastic_strain > 0) call vary_relaxation(par, inc, before%dev, step, d_A, d_excess, c)
-        c%A = d_A(:, :, N_NODES + 1)
-        c%excess = d_excess(:, N_NODES + 1)
-        c%log_phi = c%log_phi - step%share * c%tr_D
-      end associate
+      if (par%closure == CRITICAL) then
+        call vary_implied(par, step, change(j), d_A, d_excess)
+      else
+        call vary_fabric(par, step%fabric, step%S, step%mod_D, step%w, change(j)%A, times(step%share, change(j)%S), &
+          step%share * change(j)%mod_D, spread(step%share, 2, 3) * change(j)%w, d_fabric)
+        call vary_microstructure(par, step, factors, d_fabric, change(j), d_A, d_excess)
+      end if
+      if (par%elastic_strain > 0) call vary_relaxation(par, inc, before%dev, step, d_A, d_excess, change(j))
+      change(j)%A = d_A(:, :, N_NODES + 1)
+      change(j)%excess = d_excess(:, N_NODES + 1)
+      change(j)%log_phi = change(j)%log_phi - step%share * change(j)%tr_D
     end do
   end subroutine vary_inner_step
+
+  pure function factors_of(par, step) result(factors)
+    type(material_parameters), intent(in) :: par
+    type(inner_solution), intent(in) :: step
+    type(shared_factors) :: factors
+    real(dp) :: one(LANES)
+    integer :: i
+
+    if (par%closure == CRITICAL) return
+    one = 1
+    do i = 1, N_NODES
+      factors%inverse_y(:, i) = 1 / y_at(step%fabric, step%t(:, i))
+      factors%f(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
+      factors%f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_slope(par, step%phi(:, i) - par%phic)
+    end do
+    factors%inverse_y(:, N_NODES + 1) = 1 / y_at(step%fabric, one)
+    factors%decay = exponential(-par%d2 * step%mod_D)
+  end function factors_of
+
+  !> Changes of A (at the end; with e_r > 0 at the nodes too) and of Z2 - Zc.
+  pure subroutine vary_microstructure(par, step, factors, d_fabric, change, d_A, d_excess)
+    type(material_parameters), intent(in) :: par
+    type(inner_solution), intent(in) :: step
+    type(shared_factors), intent(in) :: factors
+    type(fabric_solution), intent(in) :: d_fabric
+    type(variation), intent(in) :: change
+    real(dp), intent(out) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
+    real(dp), dimension(LANES) :: d_y_end, d_A_S, d_decay, d_constant, d_tr_D
+    real(dp), dimension(LANES, N_NODES) :: d_y, dot_d_y, d_integrand
+    integer :: i, j
+
+    d_decay = par%d2 * step%share * change%mod_D
+    d_tr_D = step%share * change%tr_D
+    d_constant = par%d3 * d_tr_D - par%d1 * par%chi * step%share * change%mod_S
+    d_excess(:, N_NODES + 1) = change%excess
+    call slopes_at(d_fabric, N_NODES, step%t, d_y, dot_d_y)
+    do i = 1, N_NODES
+      d_A_S = -(dot_d_y(:, i) / par%c3 + step%A_S(:, i) * d_y(:, i)) * factors%inverse_y(:, i)
+      d_integrand(:, i) = d_decay * step%t(:, i) * step%integrand(:, i) + step%growth(:, i) * step%dt(:, i) * (par%d1 * d_A_S &
+        + d_constant + d_decay * factors%f(:, i) + factors%f_slope(:, i) * (change%log_phi - step%t(:, i) * d_tr_D))
+      d_excess(:, N_NODES + 1) = d_excess(:, N_NODES + 1) + WEIGHT(i) * d_integrand(:, i)
+    end do
+    d_excess(:, N_NODES + 1) = d_excess(:, N_NODES + 1) * factors%decay - d_decay * step%excess(:, N_NODES + 1)
+    d_A(:, :, N_NODES + 1) = d_fabric%B(:, :, 0)
+    d_y_end = 0
+    do i = 1, d_fabric%terms
+      d_A(:, :, N_NODES + 1) = d_A(:, :, N_NODES + 1) + d_fabric%B(:, :, i)
+      d_y_end = d_y_end + d_fabric%y(:, i)
+    end do
+    d_A(:, :, N_NODES + 1) = times(factors%inverse_y(:, N_NODES + 1), &
+      d_A(:, :, N_NODES + 1) - times(d_y_end, step%A(:, :, N_NODES + 1)))
+    if (.not. par%elastic_strain > 0) return
+    do i = 1, N_NODES
+      d_A(:, :, i) = times(factors%inverse_y(:, i), &
+        series_at(d_fabric, step%t(:, i)) - times(d_y(:, i), step%A(:, :, i)))
+      d_excess(:, i) = change%excess
+      do j = 1, N_NODES
+        d_excess(:, i) = d_excess(:, i) + INTEGRAL(j, i) * d_integrand(:, j)
+      end do
+      d_excess(:, i) = d_excess(:, i) / step%growth(:, i) - d_decay * step%t(:, i) * step%excess(:, i)
+    end do
+  end subroutine vary_microstructure
 
   !> Changes of what the critical closure implies: A = lambda S^, Z2 = f(phi).
   pure subroutine vary_implied(par, step, change, d_A, d_excess)

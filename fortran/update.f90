@@ -9,7 +9,7 @@ module granumat_update
   use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable
-  use granumat_fabric, only: fabric_at, fabric_rate, projection_at, solve_fabric, y_at
+  use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric, y_at
   use granumat_coordination, only: N_NODES, excess_coordination, exponential, integrate_coordination, nodes
   use granumat_stress, only: pressure, pressure_modulus, stress_deviator
   use granumat_relaxation, only: relaxation_weights
@@ -252,10 +252,12 @@ contains
       step%A(:, :, N_NODES + 1) = fabric_at(step%fabric, one)
       where (status == OK .and. .not. (y_at(step%fabric, one) > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
         status = FABRIC_BLOWS_UP
-      do i = 1, N_NODES
-        step%A_S(:, i) = projection_at(step%fabric, step%t(:, i))
-        if (par%elastic_strain > 0) step%A(:, :, i) = fabric_at(step%fabric, step%t(:, i))
-      end do
+      call projections_at(step%fabric, N_NODES, step%t, step%A_S)
+      if (par%elastic_strain > 0) then
+        do i = 1, N_NODES
+          step%A(:, :, i) = fabric_at(step%fabric, step%t(:, i))
+        end do
+      end if
       call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
         par%elastic_strain > 0, step%growth, step%integrand, step%excess)
     end if
