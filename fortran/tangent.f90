@@ -1,5 +1,5 @@
-!> The consistent tangent of the exact update, in closed form: what follows the state through the inner steps are its changes with
-!! each strain component at fixed spin and, if wanted, with each spin component at fixed strain.
+!> The consistent tangent of the exact update, in closed form: changes of the state with changes of the increment (seeds: strain
+!! and spin components, or combinations of them) follow it through the inner steps.
 module granumat_tangent
   use granumat_kinds, only: dp
   use granumat_coordination, only: INTEGRAL, N_NODES, WEIGHT, excess_coordination, excess_slope, exponential
@@ -14,7 +14,7 @@ module granumat_tangent
   private
   public :: start_variations, vary_inner_step, stress_changes
 
-  integer, parameter, public :: N_STRAINS = 6, MAX_SEEDS = 9
+  integer, parameter, public :: N_SEEDS = 9    ! 11 22 33, engineering shears 12 13 23, spins 12 13 23
 
   !> Changes with one strain or spin component: of the whole increment, then of what has evolved so far.
   type, public :: variation
@@ -31,20 +31,19 @@ module granumat_tangent
 
 contains
 
-  !> Changes of the increment with 11 22 33, the engineering shears 12 13 23, and the spins 12 13 23.
-  pure subroutine start_variations(inc, change)
+  !> Changes of the increment with each seed: a change of the strains (engineering shears) and of the spins.
+  pure subroutine start_variations(inc, seeds, change)
     type(increment), intent(in) :: inc
+    real(dp), intent(in) :: seeds(:, :)                  ! (N_SEEDS, n)
     type(variation), intent(out) :: change(:)
     real(dp) :: d_D(LANES, 6), d_direction(LANES, 6), mod_S(LANES)
     integer :: j
 
     mod_S = modulus(inc%S_hat)                           ! over |D|
     do j = 1, size(change)
-      d_D = 0
-      change(j)%w = 0
-      if (j <= 3) d_D(:, j) = 1
-      if (j > 3 .and. j <= N_STRAINS) d_D(:, j) = 0.5_dp
-      if (j > N_STRAINS) change(j)%w(:, j - N_STRAINS) = 1
+      d_D(:, :3) = spread(seeds(1:3, j), 1, LANES)
+      d_D(:, 4:) = spread(seeds(4:6, j) / 2, 1, LANES)
+      change(j)%w = spread(seeds(7:9, j), 1, LANES)
       change(j)%mod_D = contract(inc%direction, d_D) / 2
       change(j)%tr_D = trace(d_D)
       change(j)%S = deviator(d_D)
@@ -207,7 +206,7 @@ contains
     change%dev = d_dev
   end subroutine vary_relaxation
 
-  !> d stress_i / d (strain_j, spin_j) at the end of the increment, tension positive, engineering shear strains.
+  !> Change of the stress at the end of the increment, tension positive, with each seed.
   pure subroutine stress_changes(par, inc, x, change, tangent)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc

@@ -29,14 +29,15 @@ module granumat_update
 contains
 
   !> Brings states over their strain increments. Where the status is not OK, the new state is the old one, the tangent 0.
-  pure subroutine update(par, old, strain, spin, new, status, tangent)
+  pure subroutine update(par, old, strain, spin, new, status, seeds, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)    ! increments: 11 22 33 and engineering shears 12 13 23
     real(dp), intent(in) :: spin(LANES, 3)      ! increments of W12 W13 W23, W_ij = (du_i/dx_j - du_j/dx_i)/2
     type(lane_state), intent(out) :: new
     integer, intent(out) :: status(LANES)
-    real(dp), intent(out), optional :: tangent(:, :, :)    ! (LANES, 6, 6 or 9): d stress_i / d (strain_j, spin_j)
+    real(dp), intent(in), optional :: seeds(:, :)          ! (N_SEEDS, n): changes of strain and spin, as above
+    real(dp), intent(out), optional :: tangent(:, :, :)    ! (LANES, 6, n): change of the stress with each of them
     type(increment) :: inc
     type(variation), allocatable :: change(:)
     logical :: moves(LANES)
@@ -48,8 +49,8 @@ contains
     moves = inc%mod_D > 0
     if (present(tangent)) then
       if (.not. all(moves)) inc = to_increment(strain_or_reference(old, strain, moves), spin, status == OK)
-      allocate (change(size(tangent, 3)))
-      call start_variations(inc, change)
+      allocate (change(size(seeds, 2)))
+      call start_variations(inc, seeds, change)
       call deform(par, old, inc, new, status, change, tangent)
     else
       call deform(par, old, inc, new, status)
