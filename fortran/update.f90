@@ -1,18 +1,21 @@
-!> The states at the end of a strain increment: exact for a velocity gradient that is constant over it.
+!> The states at the end of a strain increment: exact for a velocity gradient that is constant over it, unless a
+!! competing method is asked for.
 !!
 !! LANES points go side by side; each takes the inner steps that it needs by itself, those that are done wait with zero strain.
 module granumat_update
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_increment, only: increment, inner_solution, internal, to_increment
   use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
-  use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_state, only: lane_state, check_state, is_finite, is_realisable
+  use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT, INSIDE
+  use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
   use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric, y_at
-  use granumat_coordination, only: N_NODES, excess_coordination, exponential, integrate_coordination, nodes
-  use granumat_stress, only: pressure, pressure_modulus, stress_deviator
+  use granumat_coordination, only: N_NODES, exponential, integrate_coordination, nodes
+  use granumat_stress, only: pressure, pressure_modulus
   use granumat_relaxation, only: relaxation_weights
+  use granumat_increment, only: increment, inner_solution, internal, to_increment
+  use granumat_rates, only: imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
+  use granumat_methods, only: integrate_by_method, MAX_STEPS
   use granumat_tangent, only: variation, start_variations, stress_changes, vary_inner_step
   implicit none (type, external)
   private
@@ -20,10 +23,8 @@ module granumat_update
 
   real(dp), parameter :: STEP_RATE = 0.4_dp      ! rate times inner step: 4 Gauss points then err by 1e-13 (tests/test_exact.py)
   real(dp), parameter :: FINER = 1.5_dp          ! with e_r > 0: interpolation in the kernel has half the order of Gauss's rule
-  integer, parameter :: MAX_STEPS = 10000
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
   real(dp), parameter :: REFERENCE_STRAIN = 1.0e-4_dp   ! |D| of the tangent at D = 0
-  real(dp), parameter :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)
   real(dp), parameter :: LARGEST_TRACE = 2.45_dp   ! of D^: sqrt(6)
 
 contains
@@ -39,46 +40,76 @@ contains
     real(dp), intent(in), optional :: seeds(:, :)          ! (N_SEEDS, n): changes of strain and spin, as above
     real(dp), intent(out), optional :: tangent(:, :, :)    ! (LANES, 6, n): change of the stress with each of them
     type(increment) :: inc
-    type(variation), allocatable :: change(:)
     logical :: moves(LANES)
-    integer :: j
 
     status = check_state(old)
     where (status == OK .and. .not. (sum(abs(strain), 2) + sum(abs(spin), 2) <= huge(1.0_dp))) status = NOT_FINITE
     inc = to_increment(strain, spin, status == OK)
     moves = inc%mod_D > 0
     if (present(tangent)) then
-      if (.not. all(moves)) inc = to_increment(strain_or_reference(old, strain, moves), spin, status == OK)
-      allocate (change(size(seeds, 2)))
-      call start_variations(inc, seeds, change)
-      call deform(par, old, inc, new, status, change, tangent)
+      call deform_with_tangent(par, old, merge_strain(old, strain, moves), spin, new, status, seeds, tangent)
+    else if (par%spin == BEFORE) then
+      call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
     else
       call deform(par, old, inc, new, status)
     end if
     if (.not. all(moves)) call turn(old, inc%spin, moves, new)
     where (status == OK .and. .not. is_finite(new)) status = RESULT_NOT_FINITE
     if (any(status /= OK)) call restore(status /= OK, old, new)
-    if (present(tangent) .and. any(status /= OK)) then
-      do j = 1, size(tangent, 3)
-        tangent(:, :, j) = merge(tangent(:, :, j), 0.0_dp, spread(status == OK, 2, 6))
-      end do
-    end if
   end subroutine update
 
-  !> For the tangent at D = 0: a small strain along the last direction, or isotropic compression before any.
-  pure function strain_or_reference(old, strain, moves) result(reference)
+  !> The tangent is that of the exact update, whatever the method; of a small strain at D = 0.
+  pure subroutine deform_with_tangent(par, old, strain, spin, new, status, seeds, tangent)
+    type(material_parameters), intent(in) :: par
+    type(lane_state), intent(in) :: old
+    real(dp), intent(in) :: strain(LANES, 6), spin(LANES, 3)
+    type(lane_state), intent(out) :: new
+    integer, intent(inout) :: status(LANES)
+    real(dp), intent(in) :: seeds(:, :)
+    real(dp), intent(out) :: tangent(:, :, :)
+    type(material_parameters) :: exactly
+    type(increment) :: inc
+    type(variation), allocatable :: change(:)
+    integer :: exact_status(LANES), j
+
+    inc = to_increment(strain, spin, status == OK)
+    exactly = par
+    exactly%method = EXACT
+    exact_status = status
+    allocate (change(size(seeds, 2)))
+    call start_variations(inc, seeds, change)
+    call deform(exactly, old, inc, new, exact_status, change, tangent)
+    do j = 1, size(tangent, 3)
+      tangent(:, :, j) = merge(tangent(:, :, j), 0.0_dp, spread(exact_status == OK, 2, 6))
+    end do
+    if (par%spin == BEFORE) then
+      call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
+    else if (par%method /= EXACT) then
+      call deform(par, old, inc, new, status)
+    else
+      status = exact_status
+    end if
+  end subroutine deform_with_tangent
+
+  !> The strain; where there is none, a small one along the last direction, or isotropic compression before any.
+  pure function merge_strain(old, strain, moves) result(merged)
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)
     logical, intent(in) :: moves(LANES)
-    real(dp) :: reference(LANES, 6), none(LANES)
+    real(dp) :: merged(LANES, 6), direction(LANES)
+    logical :: fresh(LANES)
     integer :: k
 
-    none = merge(1.0_dp, 0.0_dp, modulus(old%direction) <= 0)
+    merged = strain
+    if (all(moves)) return
+    fresh = modulus(old%direction) <= 0
     do k = 1, 6
-      reference(:, k) = old%direction(:, k) * merge(1.0_dp, 2.0_dp, k <= 3) - merge(none, 0 * none, k <= 3) * sqrt(2.0_dp / 3)
-      reference(:, k) = merge(strain(:, k), REFERENCE_STRAIN * reference(:, k), moves)
+      direction = old%direction(:, k)
+      if (k <= 3) direction = merge(-sqrt(2.0_dp / 3), direction, fresh)
+      if (k > 3) direction = 2 * direction                             ! engineering shears
+      merged(:, k) = merge(strain(:, k), REFERENCE_STRAIN * direction, moves)
     end do
-  end function strain_or_reference
+  end function merge_strain
 
   pure subroutine restore(lane, old, new)
     logical, intent(in) :: lane(LANES)
@@ -101,20 +132,41 @@ contains
     real(dp), intent(in) :: spin(LANES, 3)
     logical, intent(in) :: moves(LANES)
     type(lane_state), intent(inout) :: new
-    type(lane_state) :: turned
-    real(dp) :: R(LANES, 3, 3)
 
-    turned = old
-    R = rotation(spin)
     if (any(.not. moves .and. maxval(abs(spin), 2) > 0)) then
-      turned%stress = rotate(R, old%stress)
-      turned%fabric = rotate(R, old%fabric)
-      turned%direction = rotate(R, old%direction)
+      call restore(.not. moves, turned(old, spin), new)
+    else
+      call restore(.not. moves, old, new)
     end if
-    call restore(.not. moves, turned, new)
   end subroutine turn
 
-  !> D /= 0: splits the increment where phi crosses phic, and each part into inner steps.
+  !> States turned by exp(W).
+  pure function turned(old, spin) result(new)
+    type(lane_state), intent(in) :: old
+    real(dp), intent(in) :: spin(LANES, 3)
+    type(lane_state) :: new
+    real(dp) :: R(LANES, 3, 3)
+
+    new = old
+    R = rotation(spin)
+    new%stress = rotate(R, old%stress)
+    new%fabric = rotate(R, old%fabric)
+    new%direction = rotate(R, old%direction)
+  end function turned
+
+  pure function without_spin(inc, lane) result(straight)
+    type(increment), intent(in) :: inc
+    logical, intent(in) :: lane(LANES)
+    type(increment) :: straight
+    integer :: k
+
+    straight = inc
+    do k = 1, 3
+      straight%spin(:, k) = merge(0.0_dp, inc%spin(:, k), lane)
+    end do
+  end function without_spin
+
+  !> D /= 0.
   pure subroutine deform(par, old, inc, new, status, change, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
@@ -124,26 +176,20 @@ contains
     type(variation), intent(inout), optional :: change(:)
     real(dp), intent(out), optional :: tangent(:, :, :)
     type(internal) :: x
-    real(dp), dimension(LANES) :: e_end, crossing, factor
-    integer :: k
-
-    new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
-    where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
+    real(dp) :: factor(LANES)
 
     x%A = old%fabric
     x%excess = old%coordination_number - par%Zc
     x%phi = old%volume_fraction
     x%dev = deviator(old%stress)
-    do k = 1, LANES
-      if (status(k) == OK) x%e(k) = log(old%volume_fraction(k) / par%phic)
-      if (status(k) /= OK) x%e(k) = 1
-    end do
-    e_end = x%e - inc%tr_D
-    crossing = 1
-    where (x%e * e_end < 0) crossing = x%e / inc%tr_D
-    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status, change)
-    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status, change)
-
+    if (par%method == EXACT) then
+      new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
+      where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
+      call integrate_exactly(par, inc, x, status, change)
+    else
+      call integrate_otherwise(par, inc, x, status)
+      new%volume_fraction = x%phi
+    end if
     factor = pressure_modulus(par, x%A, inc%direction)
     where (status == OK .and. factor < 0) status = TENSILE_PRESSURE
     where (status == OK .and. .not. is_realisable(x%A)) status = FABRIC_BLOWS_UP
@@ -153,6 +199,47 @@ contains
     new%stress = add_identity(x%dev, -pressure(par, factor, x%excess))
     if (present(tangent)) call stress_changes(par, inc, x, change, tangent)
   end subroutine deform
+
+  !> By the method of the parameters.
+  pure subroutine integrate_otherwise(par, inc, x, status)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(inout) :: x
+    integer, intent(inout) :: status(LANES)
+    real(dp) :: y(LANES, N_EVOLVING)
+
+    y(:, :6) = x%A
+    y(:, I_EXCESS) = x%excess
+    y(:, I_PHI) = x%phi
+    y(:, I_DEV:) = x%dev
+    call integrate_by_method(par, without_spin(inc, .not. inc%mod_D > 0), y, status)      ! see turn
+    x%A = y(:, :6)
+    x%excess = y(:, I_EXCESS)
+    x%phi = y(:, I_PHI)
+    x%dev = y(:, I_DEV:)
+    if (.not. par%elastic_strain > 0) x%dev = model_deviator(par, inc, x%A, x%excess)
+  end subroutine integrate_otherwise
+
+  !> Splits the increment where phi crosses phic, and each part into inner steps.
+  pure subroutine integrate_exactly(par, inc, x, status, change)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(inout) :: x
+    integer, intent(inout) :: status(LANES)
+    type(variation), intent(inout), optional :: change(:)
+    real(dp), dimension(LANES) :: e_end, crossing
+    integer :: k
+
+    do k = 1, LANES
+      if (status(k) == OK) x%e(k) = log(x%phi(k) / par%phic)
+      if (status(k) /= OK) x%e(k) = 1
+    end do
+    e_end = x%e - inc%tr_D
+    crossing = 1
+    where (x%e * e_end < 0) crossing = x%e / inc%tr_D
+    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status, change)
+    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status, change)
+  end subroutine integrate_exactly
 
   !> Inner steps over the given share of the increment; phi stays on one side of phic.
   pure subroutine integrate(par, inc, share, e_end, x, status, change)
@@ -246,7 +333,10 @@ contains
     step%phi_end = x%phi
     x%e = e_end
     if (par%closure == CRITICAL) then
-      call imply(par, inc, step)
+      do i = 1, N_NODES
+        call imply(par, inc, step%phi(:, i), step%A(:, :, i), step%excess(:, i))
+      end do
+      call imply(par, inc, x%phi, step%A(:, :, N_NODES + 1), step%excess(:, N_NODES + 1))
     else
       one = 1
       call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
@@ -271,22 +361,6 @@ contains
     end if
   end subroutine inner_step
 
-  !> The microstructure that the critical closure implies, (A 9) and f(phi).
-  pure subroutine imply(par, inc, step)
-    type(material_parameters), intent(in) :: par
-    type(increment), intent(in) :: inc
-    type(inner_solution), intent(inout) :: step
-    integer :: i
-
-    do i = 1, N_NODES + 1
-      step%A(:, :, i) = par%lambda * inc%S_hat
-    end do
-    do i = 1, N_NODES
-      step%excess(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
-    end do
-    step%excess(:, N_NODES + 1) = excess_coordination(par, step%phi_end - par%phic)
-  end subroutine imply
-
   !> The deviatoric stress after an inner step with e_r > 0.
   pure subroutine relax(par, inc, step, dev)
     type(material_parameters), intent(in) :: par
@@ -306,13 +380,5 @@ contains
         model_deviator(par, inc, step%A(:, :, i), step%excess(:, i))))
     end do
   end subroutine relax
-
-  pure function model_deviator(par, inc, A, excess) result(dev)
-    type(material_parameters), intent(in) :: par
-    type(increment), intent(in) :: inc
-    real(dp), intent(in) :: A(LANES, 6), excess(LANES)
-    real(dp) :: dev(LANES, 6)
-    dev = stress_deviator(par, A, inc%S_hat, pressure(par, pressure_modulus(par, A, inc%direction), excess))
-  end function model_deviator
 
 end module granumat_update

@@ -41,7 +41,7 @@ def _constant_volume(c):
 def _constant_pressure(c):
     """tr D from dp = 0: p is affine in tr D but for |D|, so a few fixed-point turns give it to round-off."""
     def rate(_, state):
-        xx, yy, zz, xz, z2, phi = state
+        xx, yy, zz, xz, z2, _ = state
         mod_a = ((xx * xx + yy * yy + zz * zz) / 2 + xz * xz) ** 0.5
         factor, excess = c["a1"] + c["a2"] * mod_a, z2 - c["Zc"]
         tr = 0.0
@@ -162,8 +162,13 @@ def print_sizes(sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000)):
         states, gradient = np.resize(states, n), np.resize(gradient, (n, 3, 3))
         out = np.zeros(n, STATE)
         calls = max(1, 100_000 // n)
-        [seconds] = _interleaved([lambda: [material.update(states, gradient, out=out) for _ in range(calls)]])
+        [seconds] = _interleaved([functools.partial(_update_often, material, states, gradient, out, calls)])
         print(f"  {n:>10} {seconds / n / calls * 1e9:7.0f} ns")
+
+
+def _update_often(material, states, gradient, out, calls):
+    for _ in range(calls):
+        material.update(states, gradient, out=out)
 
 
 def newton_residuals(increment=0.02):
