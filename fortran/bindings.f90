@@ -111,4 +111,17 @@ contains
       states, amplitude(:m, :), done, status)
   end subroutine core_path
 
+  !> Multiplies and adds 2 * 12 * LANES * rounds times in registers: what the arithmetic of a benchmark is measured against.
+  subroutine core_arithmetic(rounds, total) bind(c)
+    integer(c_int), value, intent(in) :: rounds
+    real(c_double), intent(out) :: total
+    real(c_double) :: x(LANES, 12)
+    integer :: k
+    x = 1
+    do k = 1, rounds
+      x = x * 0.5_c_double + 0.25_c_double
+    end do
+    total = sum(x)
+  end subroutine core_arithmetic
+
 end module granumat_bindings

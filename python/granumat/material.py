@@ -380,6 +380,12 @@ class Material:
 STEADY_STRAIN = 40.0    # shear strain after which exp(-5.6 s), the slowest decay, is below round-off
 
 
+def arithmetic(rounds):
+    """Does 192 * rounds additions and multiplications in registers: the arithmetic limit that bench compares with."""
+    _core.core_arithmetic(rounds)
+    return 192 * rounds
+
+
 def status_message(status):
     """The core's words for a status."""
     return _core.core_message(int(status)).tobytes().decode().strip()
