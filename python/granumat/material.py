@@ -1,6 +1,7 @@
 """The material and the state of its points. The only file that knows the compiled core."""
 
 import difflib
+from typing import NamedTuple
 
 import numpy as np
 
@@ -293,6 +294,62 @@ class Material:
         eta = _core.core_evaluate(self._par, _numbers(states.reshape(-1)))
         return states["stress"], eta.reshape(states.shape)
 
+    # ---- well-posedness ----------------------------------------------------------------------------------------------
+
+    def transverse_modulus(self, states):
+        """eta_t (...) of states: the modulus of the deviatoric stress against a turn of the strain's direction.
+
+        eta_t = b1 + (b2 + a4/2) x + b3 x^2 with x = A:S^; the critical closure has b1 + b2 chi + b3 chi^2. A change T of S^ with
+        T:S^ = 0 changes the stress (tension positive) by
+
+            p eta_t T + p (b2 + 2 b3 x + a4/2) (A:T) S^ - a3 p (A T + T A - (2/3) (A:T) I),
+
+        so, a3 apart, T:d sigma = eta_t p T:T. It does not depend on e_r, which divides the whole response.
+        """
+        states = np.ascontiguousarray(states, STATE)
+        return _core.core_transverse_modulus(self._par, _numbers(states.reshape(-1))).reshape(states.shape)
+
+    def response(self, states):
+        """The response C (..., 6, 6) that `ellipticity` searches, in units of p: stress components by engineering strains.
+
+        At frozen A, Z2, phi, and |D| = 1, D = D^ the state's direction; tension positive. The spin's terms, of order 1, are left out.
+
+        - e_r = 0: C = d sigma/dD, of degree -1 in D, so C:D = 0. p depends on D through g only.
+        - e_r > 0: C = d(d sigma/dt)/dD of d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and of dp/dt from (4.2), (4.7),
+          (4.8); of degree 0, so C:D is the rate itself. The jump of p with g tr D^ is left out.
+
+        NaN where it is undefined: before any strain, and for e_r > 0 where p = 0.
+        """
+        states = np.ascontiguousarray(states, STATE)
+        return _core.core_response(self._par, _numbers(states.reshape(-1))).reshape(states.shape + (6, 6))
+
+    def ellipticity(self, states, threads=1):
+        """How far states are from the loss of ellipticity.
+
+        The acoustic tensor Q_il(n) = n_j C_ijkl n_k of `response` takes v to the traction on n when D changes by the symmetric part
+        of v n. Over all unit normals n, from a grid of 200 and local searches:
+
+        - eigenvalue: the smallest of (Q + Q^T)/2, that is the smallest v n:C:v n with abs(v) = 1 (strong ellipticity);
+        - determinant: the smallest det Q (Rudnicki & Rice 1975: a band along n can form where it reaches 0).
+
+        e_r = 0: the volume is kept by a bulk stiffness of some 90 p per strain, which this C has not, so v is normal to n and Q
+        is 2 x 2. C:D = 0 then makes the smallest value 0 at best in plane strain, where D is the symmetric part of v n for some n:
+        what signals the loss is a negative value. e_r > 0: all v, 3 x 3, with the rate of p.
+
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+        threads : int, optional
+
+        Returns
+        -------
+        Ellipticity
+        """
+        states = np.ascontiguousarray(states, STATE)
+        least, normal = _core.core_ellipticity(threads, self._par, _numbers(states.reshape(-1)))
+        least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
+        return Ellipticity(self.transverse_modulus(states), least[..., 0], normal[..., 0, :], least[..., 1], normal[..., 1, :])
+
     def follow(self, state, gradients, modes, functionals, targets, tolerance):
         """Follows increments of one point; the driver's engine.
 
@@ -325,6 +382,16 @@ class Material:
             np.resize(targets, (len(gradients) + 1, rows)), tolerance)
         done = int(done[0])
         return states[:done].view(STATE)[:, 0].view(np.recarray), amplitudes[:done, :m], int(status[0])
+
+
+class Ellipticity(NamedTuple):
+    """What `Material.ellipticity` finds, for states of shape (...)."""
+
+    eta_t: np.ndarray                   # (...): transverse modulus
+    eigenvalue: np.ndarray              # (...): smallest of the acoustic tensor's symmetric part, in p
+    normal: np.ndarray                  # (..., 3): where it is
+    determinant: np.ndarray             # (...): smallest of the acoustic tensor, in p^2 (e_r = 0) or p^3
+    determinant_normal: np.ndarray      # (..., 3): where it is
 
 
 STEADY_STRAIN = 40.0    # shear strain after which exp(-5.6 s), the slowest decay, is below round-off
