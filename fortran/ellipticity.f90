@@ -21,12 +21,14 @@ module granumat_ellipticity
 
   integer, parameter, public :: EIGENVALUE = 1, DETERMINANT = 2   ! of Q: of its symmetric part, the smallest; of Q itself
 
-  integer, parameter :: N_GRID = 200                    ! normals on the hemisphere, 10 degrees apart
-  integer, parameter :: N_STARTS = 4                    ! of the local searches: the best of the grid that are not neighbours
+  integer, parameter :: N_GRID = 300                    ! normals on the hemisphere, 8 degrees apart
+  integer, parameter :: N_STARTS = 5                    ! of the local searches: the best of the grid that are not neighbours
   integer, parameter :: N_RING = 8, N_ITERATIONS = 18   ! of a local search: directions around a normal; rings
   integer, parameter :: N_SWEEPS = 5                    ! of Jacobi's method: 3 x 3 matrices are then diagonal to round-off
-  real(dp), parameter :: NEIGHBOURS = 0.95_dp           ! cosine of the angle, 18 degrees, within which normals are neighbours
-  real(dp), parameter :: FIRST_RADIUS = 0.1_dp          ! of a ring, in radians; the last is a 2**18th of it
+  real(dp), parameter :: NEIGHBOURS = 0.965_dp          ! cosine of the angle, 15 degrees, within which normals are neighbours
+  real(dp), parameter :: FIRST_RADIUS = 0.1_dp          ! of a ring, in radians
+  real(dp), parameter :: LAST_RADIUS = 1.0e-6_dp        ! differences are below round-off there
+  real(dp), parameter :: SHRINK = 0.25_dp               ! of the radius, at most, from one ring to the next
   real(dp), parameter :: LONGEST_STEP = 4               ! of Newton's method, in radii
   real(dp), parameter :: PI = acos(-1.0_dp)
   real(dp), parameter :: GOLDEN_ANGLE = PI * (3 - sqrt(5.0_dp))
@@ -176,7 +178,7 @@ contains
     real(dp), intent(inout) :: n(LANES, 3)
     real(dp), intent(out) :: least(LANES)
     real(dp), dimension(LANES, 3) :: centre, first, second
-    real(dp) :: value(LANES, N_RING), radius, x(LANES), y(LANES), angle(LANES)
+    real(dp) :: value(LANES, N_RING), radius(LANES), x(LANES), y(LANES), angle(LANES)
     integer :: iteration, i
 
     least = measure(law, kind, n)
@@ -192,7 +194,7 @@ contains
       angle = 2 * PI * minloc(value, 2) / N_RING
       call prefer(law, kind, moved(centre, first, second, x, y), n, least)
       call prefer(law, kind, moved(centre, first, second, radius * cos(angle), radius * sin(angle)), n, least)
-      radius = radius / 2
+      radius = max(SHRINK * radius, min(LONGEST_STEP * radius, sqrt(sum((n - centre)**2, 2))), LAST_RADIUS)
     end do
   end subroutine refine
 
@@ -214,7 +216,7 @@ contains
 
   !> Where the quadratic through the centre and N_RING values on a ring around it is least; 0 where it has no minimum.
   pure subroutine newton_step(radius, centre, ring, x, y)
-    real(dp), intent(in) :: radius, centre(LANES), ring(LANES, N_RING)
+    real(dp), intent(in) :: radius(LANES), centre(LANES), ring(LANES, N_RING)
     real(dp), intent(out) :: x(LANES), y(LANES)
     real(dp), dimension(LANES) :: mean, slope_x, slope_y, even, odd, xx, yy, xy, determinant, length
     real(dp) :: angle

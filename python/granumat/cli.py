@@ -43,7 +43,7 @@ def run_point(options):
     path = read_path_file(options.path)
     progress = driver.Progress(path.steps, sys.stderr)
     try:
-        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress)
+        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic)
     except GranumatError:
         print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
               f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)

@@ -269,8 +269,7 @@ class Material:
         if gradient.shape != shape + (3, 3):
             raise ValueError(f"gradient has shape {gradient.shape}: must be {shape + (3, 3)} for states of shape {shape}")
         new = np.empty(shape, STATE) if out is None else out
-        if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
-            raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
+        _check_threads(threads)
         if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
             raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
         if np.may_share_memory(old, new):
@@ -312,13 +311,13 @@ class Material:
     def response(self, states):
         """The response C (..., 6, 6) that `ellipticity` searches, in units of p: stress components by engineering strains.
 
-        At frozen A, Z2, phi, and |D| = 1, D = D^ the state's direction; tension positive. The spin's terms, of order 1, are left out.
+        At frozen A, Z2, phi, and D = D^ the state's direction, |D| = 1; tension positive.
 
         - e_r = 0: C = d sigma/dD, of degree -1 in D, so C:D = 0. p depends on D through g only.
         - e_r > 0: C = d(d sigma/dt)/dD of d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and of dp/dt from (4.2), (4.7),
           (4.8); of degree 0, so C:D is the rate itself. The jump of p with g tr D^ is left out.
 
-        NaN where it is undefined: before any strain, and for e_r > 0 where p = 0.
+        NaN where there is none: before any strain, and for e_r > 0 where p = 0.
         """
         states = np.ascontiguousarray(states, STATE)
         return _core.core_response(self._par, _numbers(states.reshape(-1))).reshape(states.shape + (6, 6))
@@ -326,15 +325,18 @@ class Material:
     def ellipticity(self, states, threads=1):
         """How far states are from the loss of ellipticity.
 
-        The acoustic tensor Q_il(n) = n_j C_ijkl n_k of `response` takes v to the traction on n when D changes by the symmetric part
-        of v n. Over all unit normals n, from a grid of 200 and local searches:
+        The acoustic tensor Q(n) takes v to the traction on n when grad v changes by v n. Over all unit normals n, from a grid of 300
+        and local searches:
 
-        - eigenvalue: the smallest of (Q + Q^T)/2, that is the smallest v n:C:v n with abs(v) = 1 (strong ellipticity);
-        - determinant: the smallest det Q (Rudnicki & Rice 1975: a band along n can form where it reaches 0).
+        - eigenvalue: the smallest of (Q + Q^T)/2, that is of v.Q(n).v with abs(v) = 1: strong ellipticity;
+        - determinant: the smallest det Q(n); a band along n can form where it reaches 0 (Rudnicki & Rice 1975).
 
-        e_r = 0: the volume is kept by a bulk stiffness of some 90 p per strain, which this C has not, so v is normal to n and Q
-        is 2 x 2. C:D = 0 then makes the smallest value 0 at best in plane strain, where D is the symmetric part of v n for some n:
-        what signals the loss is a negative value. e_r > 0: all v, 3 x 3, with the rate of p.
+        e_r = 0: Q_il = n_j C_ijkl n_k, C of `response`. The volume is kept by a bulk stiffness of some 90 p per strain, which this
+        C has not: v is normal to n and Q is 2 x 2. In plane strain C:D = 0 makes the smallest value 0 at best, as D is the symmetric
+        part of v n for some n, a characteristic: what signals the loss is a negative value.
+
+        e_r > 0: all v, 3 x 3, with the rate of p. The spin carries the stress along, which adds
+        ((n.sigma n) I - sigma + sigma n n - n sigma n)/2, exact for the nominal traction rate too (Rice 1976).
 
         Parameters
         ----------
@@ -345,6 +347,7 @@ class Material:
         -------
         Ellipticity
         """
+        _check_threads(threads)
         states = np.ascontiguousarray(states, STATE)
         least, normal = _core.core_ellipticity(threads, self._par, _numbers(states.reshape(-1)))
         least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
@@ -400,6 +403,11 @@ STEADY_STRAIN = 40.0    # shear strain after which exp(-5.6 s), the slowest deca
 def status_message(status):
     """The core's words for a status."""
     return _core.core_message(int(status)).tobytes().decode().strip()
+
+
+def _check_threads(threads):
+    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
 
 
 def _remake(given):
