@@ -316,8 +316,8 @@ def run(material, state, steps, out=None, tolerance=TOLERANCE, progress=None, ac
     progress : function of (step, increments done, increments), optional
         Called between chunks of increments.
     acoustic : bool
-        Whether the history has the column "acoustic", the smallest eigenvalue of Material.ellipticity: 0.1 ms a row, some
-        hundred times what the row itself takes.
+        Whether the history has the column "acoustic", the smallest eigenvalue of Material.ellipticity: 0.05 to 0.2 ms a row,
+        some fifty times what the row itself takes.
 
     Returns
     -------

@@ -325,15 +325,15 @@ class Material:
     def ellipticity(self, states, threads=1):
         """How far states are from the loss of ellipticity.
 
-        The acoustic tensor Q(n) takes v to the traction on n when grad v changes by v n. Over all unit normals n, from a grid of 300
-        and local searches:
+        The acoustic tensor Q(n) takes v to the traction on n when grad v changes by v n. Over all unit normals n, from a grid and
+        local searches:
 
         - eigenvalue: the smallest of (Q + Q^T)/2, that is of v.Q(n).v with abs(v) = 1: strong ellipticity;
         - determinant: the smallest det Q(n); a band along n can form where it reaches 0 (Rudnicki & Rice 1975).
 
         e_r = 0: Q_il = n_j C_ijkl n_k, C of `response`. The volume is kept by a bulk stiffness of some 90 p per strain, which this
-        C has not: v is normal to n and Q is 2 x 2. In plane strain C:D = 0 makes the smallest value 0 at best, as D is the symmetric
-        part of v n for some n, a characteristic: what signals the loss is a negative value.
+        C has not: v is normal to n and Q is 2 x 2. In plane strain C:D = 0 makes the smallest value 0 at best, as D is the
+        symmetric part of v n for some n, a characteristic: what signals the loss is a negative value.
 
         e_r > 0: all v, 3 x 3, with the rate of p. The spin carries the stress along, which adds
         ((n.sigma n) I - sigma + sigma n n - n sigma n)/2, exact for the nominal traction rate too (Rice 1976).

@@ -103,7 +103,8 @@ def write_losses(path, curves):
         table.writerow(("mu", "closure", "elastic_strain", "measure", *LOSS))
         for c in curves:
             for measure in MEASURES:
-                table.writerow((c.mu, c.closure, c.elastic_strain, measure, *(f"{value:.6g}" for value in c.loss(measure).values())))
+                numbers = (f"{value:.6g}" for value in c.loss(measure).values())
+                table.writerow((c.mu, c.closure, c.elastic_strain, measure, *numbers))
 
 
 def losses_in_words(curves):
@@ -123,7 +124,7 @@ def picture(curves):
     """eta_t and the smallest eigenvalues against the strain after the reversal, one column for each mu."""
     figure = Figure(figsize=(13, 8.2))
     figure.set_layout_engine("constrained", rect=(0, 0.04, 1, 0.96))
-    figure.suptitle("Reversal of shear at constant volume: where a curve is below the black line, the law is not elliptic", fontsize=11)
+    figure.suptitle("Reversal of shear at constant volume: the law is not elliptic where a curve is below 0", fontsize=11)
     rows = (("eta_t", 0.0, r"transverse modulus $\eta_t$ (any $e_r$)"),
             ("eigenvalue", 0.0, "smallest eigenvalue of the acoustic\n" r"tensor $/\,p$, at $e_r=0$"),
             ("eigenvalue", 0.01, "smallest eigenvalue of the acoustic\n" r"tensor $\times\,e_r/p$, at $e_r=0.01$"))
