@@ -126,7 +126,7 @@ def picture(curves):
     figure.set_layout_engine("constrained", rect=(0, 0.04, 1, 0.96))
     figure.suptitle("Reversal of shear at constant volume: the law is not elliptic where a curve is below 0", fontsize=11)
     rows = (("eta_t", 0.0, r"transverse modulus $\eta_t$ (any $e_r$)"),
-            ("eigenvalue", 0.0, "smallest eigenvalue of the acoustic\n" r"tensor $/\,p$, at $e_r=0$"),
+            ("eigenvalue", 0.0, "smallest eigenvalue of the acoustic\n" r"tensor $/\,p$, at $e_r=0$ (log scale)"),
             ("eigenvalue", 0.01, "smallest eigenvalue of the acoustic\n" r"tensor $\times\,e_r/p$, at $e_r=0.01$"))
     panels = figure.subplots(3, len(MUS), sharex=True, sharey="row")
     for (measure, elastic_strain, label), row in zip(rows, panels):
