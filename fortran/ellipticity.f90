@@ -1,11 +1,12 @@
 !> Well-posedness of the law at a state: the transverse modulus, and the acoustic tensor over all normals.
 !!
-!! The microstructure A, Z2, phi is frozen, D is the state's D^ with |D| = 1, and everything is in units of p. The response C is
+!! The microstructure A, Z2, phi is frozen (A = lambda S^ of the critical closure is not), D is the state's D^ with |D| = 1,
+!! and everything is in units of p. The response C is
 !!   e_r = 0: the change of the stress with D;
 !!   e_r > 0: the change with D of the rates d sigma'/dt = |D| (sigma'_model - sigma')/e_r (its spin apart) and dp/dt, the latter
 !!            of (4.2) with (4.7), (4.8).
 !! Q(n) takes v to the traction on n when grad v changes by v n: Q_il = n_j C_ijkl n_k, and for e_r > 0 that of the spin,
-!! ((n . sigma n) I - sigma + sigma n n - n sigma n)/2. For e_r = 0 the pressure is free (the volume is kept by a bulk stiffness
+!! ((n . sigma n) I - sigma + (sigma n) n - n (sigma n))/2. For e_r = 0 the pressure is free (the volume is kept by a bulk stiffness
 !! of some 90 p), so v is normal to n and Q a matrix of two by two.
 module granumat_ellipticity
   use, intrinsic :: ieee_arithmetic, only: ieee_quiet_nan, ieee_value
@@ -13,7 +14,7 @@ module granumat_ellipticity
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
-  use granumat_stress, only: evaluate, friction, pressure, pressure_change, pressure_modulus, stress_deviator_change
+  use granumat_stress, only: evaluate, friction, pressure_change, stress_deviator_change
   use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, times, trace
   implicit none (type, external)
   private

@@ -311,7 +311,8 @@ class Material:
     def response(self, states):
         """The response C (..., 6, 6) that `ellipticity` searches, in units of p: stress components by engineering strains.
 
-        At frozen A, Z2, phi, and D = D^ the state's direction, |D| = 1; tension positive.
+        At frozen A, Z2, phi (A = lambda S^ of the critical closure follows D), and D = D^ the state's direction, |D| = 1;
+        tension positive.
 
         - e_r = 0: C = d sigma/dD, of degree -1 in D, so C:D = 0. p depends on D through g only.
         - e_r > 0: C = d(d sigma/dt)/dD of d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and of dp/dt from (4.2), (4.7),
@@ -336,7 +337,7 @@ class Material:
         symmetric part of v n for some n, a characteristic: what signals the loss is a negative value.
 
         e_r > 0: all v, 3 x 3, with the rate of p. The spin carries the stress along, which adds
-        ((n.sigma n) I - sigma + sigma n n - n sigma n)/2, exact for the nominal traction rate too (Rice 1976).
+        ((n.sigma n) I - sigma + (sigma n) n - n (sigma n))/2, exact for the nominal traction rate too (Rice 1976).
 
         Parameters
         ----------
