@@ -2,6 +2,7 @@
 module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
   use granumat_batch, only: update_batch
+  use granumat_ellipticity, only: response, transverse_modulus, response_of, least_over_normals, EIGENVALUE, DETERMINANT
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
     are_valid, N_CONSTANTS, NAME_LENGTH, RANGES
   use granumat_path, only: follow_path
@@ -73,6 +74,66 @@ contains
       eta(first:last) = lane_eta(:last - first + 1)
     end do
   end subroutine core_evaluate
+
+  subroutine core_transverse_modulus(n, par, states, eta_t) bind(c)
+    integer(c_int), value, intent(in) :: n
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: states(n)
+    real(c_double), intent(out) :: eta_t(n)
+    type(lane_state) :: x
+    real(c_double) :: found(LANES)
+    integer :: first, last
+    do first = 1, n, LANES
+      last = min(first + LANES - 1, n)
+      call gather(states(first:last), x)
+      found = transverse_modulus(par, x)
+      eta_t(first:last) = found(:last - first + 1)
+    end do
+  end subroutine core_transverse_modulus
+
+  !> Response matrices, transposed: Python's (n, 6, 6) has the stress components' index before the strains'.
+  subroutine core_response(n, par, states, matrix) bind(c)
+    integer(c_int), value, intent(in) :: n
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: states(n)
+    real(c_double), intent(out) :: matrix(6, 6, n)
+    type(lane_state) :: x
+    type(response) :: law
+    integer :: first, last, i
+    do first = 1, n, LANES
+      last = min(first + LANES - 1, n)
+      call gather(states(first:last), x)
+      law = response_of(par, x)
+      do i = first, last
+        matrix(:, :, i) = transpose(law%C(i - first + 1, :, :))
+      end do
+    end do
+  end subroutine core_response
+
+  !> The smallest eigenvalue (1) and the smallest determinant (2) of the acoustic tensor, and their normals.
+  subroutine core_ellipticity(n, threads, par, states, least, normal) bind(c)
+    integer(c_int), value, intent(in) :: n, threads
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: states(n)
+    real(c_double), intent(out) :: least(2, n), normal(3, 2, n)
+    type(lane_state) :: x
+    type(response) :: law
+    real(c_double) :: found(LANES, EIGENVALUE:DETERMINANT), where_found(LANES, 3, EIGENVALUE:DETERMINANT)
+    integer :: first, last, i, kind
+    !$omp parallel do num_threads(threads) if(threads > 1) private(x, law, found, where_found, last, i, kind)
+    do first = 1, n, LANES
+      last = min(first + LANES - 1, n)
+      call gather(states(first:last), x)
+      law = response_of(par, x)
+      do kind = EIGENVALUE, DETERMINANT
+        call least_over_normals(law, kind, found(:, kind), where_found(:, :, kind))
+      end do
+      do i = first, last
+        least(:, i) = found(i - first + 1, :)
+        normal(:, :, i) = where_found(i - first + 1, :, :)
+      end do
+    end do
+  end subroutine core_ellipticity
 
   subroutine core_update(n, threads, par, old, gradient, new, status) bind(c)
     integer(c_int), value, intent(in) :: n, threads

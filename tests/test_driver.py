@@ -201,7 +201,7 @@ def test_history_signs_and_columns(material, tmp_path):
     history = driver.run(material, material.steady(0.60), [driver.shear(0.01, increments=2)], tmp_path)
     header = (tmp_path / "history.csv").read_text().splitlines()[0]
     assert header == ("step,gamma,gamma_total,phi,p,stress_ratio,Z2,A_xx,A_yy,A_zz,A_xy,A_xz,A_yz,"
-                      "sigma_xx,sigma_yy,sigma_zz,sigma_xy,sigma_xz,sigma_yz,eta,dilatancy")
+                      "sigma_xx,sigma_yy,sigma_zz,sigma_xy,sigma_xz,sigma_yz,eta,dilatancy,eta_t")
     assert history["stress_ratio"][-1] > 0 and history["A_xz"][-1] < 0 and history["sigma_xz"][-1] < 0
     assert history["p"][-1] == pytest.approx((history["sigma_xx"] + history["sigma_yy"] + history["sigma_zz"])[-1] / 3)
     assert history["eta"][-1] == pytest.approx(history["stress_ratio"][-1], rel=1e-12)       # a3, a4 do not act on xz in shear

@@ -83,3 +83,8 @@ def test_abs_a_below_the_limit_always_decays_and_above_it_some_direction_grows(r
 def test_huge_increments_are_refused_not_truncated(material):
     with pytest.raises(MaterialError, match="more than 10000 inner steps"):
         material.update(material.steady(0.60), 1e6 * SHEAR)
+
+
+def test_unjammed_steady_state_with_an_elastic_strain_is_found():
+    state = Material(0.5, elastic_strain=0.01).steady(0.55)
+    assert state.coordination_number < Material(0.5)["Zc"] and (state.stress == 0).all()

@@ -23,12 +23,13 @@ def main(arguments=None):
     figures = commands.add_parser("figures", help="draw the model's curves of the paper's figures")
     figures.add_argument("names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     commands.add_parser("bench", help="time paths against SciPy's solvers at equal error")
-    for command in (point, figures):
+    wellposed = commands.add_parser("wellposed", help="where each closure loses ellipticity after a reversal")
+    for command in (point, figures, wellposed):
         command.add_argument("--out", type=Path, required=True, help="directory for what is written")
     options = parser.parse_args(arguments)
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
-        {"point": run_point, "figures": run_figures, "bench": run_bench}[options.command](options)
+        {"point": run_point, "figures": run_figures, "bench": run_bench, "wellposed": run_wellposed}[options.command](options)
     except (ValueError, OSError, ImportError) as error:
         print(f"granumat: {error}", file=sys.stderr)
         return 2
@@ -43,7 +44,7 @@ def run_point(options):
     path = read_path_file(options.path)
     progress = driver.Progress(path.steps, sys.stderr)
     try:
-        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress)
+        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic)
     except GranumatError:
         print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
               f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
@@ -64,3 +65,11 @@ def run_figures(options):
 def run_bench(options):
     from .bench import print_ratios
     print_ratios()
+
+
+def run_wellposed(options):
+    from .wellposed import losses_in_words, write_study
+    curves, paths = write_study(options.out)
+    print(losses_in_words(curves))
+    for path in paths:
+        print(f"wrote {path}")

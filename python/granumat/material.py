@@ -1,6 +1,7 @@
 """The material and the state of its points. The only file that knows the compiled core."""
 
 import difflib
+from typing import NamedTuple
 
 import numpy as np
 
@@ -255,7 +256,7 @@ class Material:
         Found by the exact update, whatever the material's method.
         """
         gradient = np.zeros((3, 3))
-        gradient[0, 2] = STEADY_STRAIN
+        gradient[0, 2] = 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
         exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
         return exact.update(exact.state(volume_fraction, self["Zc"]), gradient)
 
@@ -314,8 +315,7 @@ class Material:
         if gradient.shape != (*shape, 3, 3):
             raise ValueError(f"gradient has shape {gradient.shape}: must be {(*shape, 3, 3)} for states of shape {shape}")
         new = np.empty(shape, STATE) if out is None else out
-        if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
-            raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
+        _check_threads(threads)
         if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
             raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
         if np.may_share_memory(old, new):
@@ -342,6 +342,67 @@ class Material:
         states = np.array(states, STATE)
         eta = _core.core_evaluate(self._par, _numbers(states.reshape(-1)))
         return states["stress"], eta.reshape(states.shape)
+
+    # ---- well-posedness ----------------------------------------------------------------------------------------------
+
+    def transverse_modulus(self, states):
+        """eta_t (...) of states: the modulus of the deviatoric stress against a turn of the strain's direction.
+
+        eta_t = b1 + (b2 + a4/2) x + b3 x^2 with x = A:S^; the critical closure has b1 + b2 chi + b3 chi^2. A change T of S^ with
+        T:S^ = 0 changes the stress (tension positive) by
+
+            p eta_t T + p (b2 + 2 b3 x + a4/2) (A:T) S^ - a3 p (A T + T A - (2/3) (A:T) I),
+
+        so, a3 apart, T:d sigma = eta_t p T:T. It does not depend on e_r, which divides the whole response.
+        """
+        states = np.ascontiguousarray(states, STATE)
+        return _core.core_transverse_modulus(self._par, _numbers(states.reshape(-1))).reshape(states.shape)
+
+    def response(self, states):
+        """The response C (..., 6, 6) that `ellipticity` searches, in units of p: stress components by engineering strains.
+
+        At frozen A, Z2, phi (A = lambda S^ of the critical closure follows D), and D = D^ the state's direction, |D| = 1;
+        tension positive.
+
+        - e_r = 0: C = d sigma/dD, of degree -1 in D, so C:D = 0. p depends on D through g only.
+        - e_r > 0: C = d(d sigma/dt)/dD of d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and of dp/dt from (4.2), (4.7),
+          (4.8); of degree 0, so C:D is the rate itself. The jump of p with g tr D^ is left out.
+
+        NaN where there is none: before any strain, and for e_r > 0 where p = 0.
+        """
+        states = np.ascontiguousarray(states, STATE)
+        return _core.core_response(self._par, _numbers(states.reshape(-1))).reshape(states.shape + (6, 6))
+
+    def ellipticity(self, states, threads=1):
+        """How far states are from the loss of ellipticity.
+
+        The acoustic tensor Q(n) takes v to the traction on n when grad v changes by v n. Over all unit normals n, from a grid and
+        local searches:
+
+        - eigenvalue: the smallest of (Q + Q^T)/2, that is of v.Q(n).v with abs(v) = 1: strong ellipticity;
+        - determinant: the smallest det Q(n); a band along n can form where it reaches 0 (Rudnicki & Rice 1975).
+
+        e_r = 0: Q_il = n_j C_ijkl n_k, C of `response`. The volume is kept by a bulk stiffness of some 90 p per strain, which this
+        C has not: v is normal to n and Q is 2 x 2. In plane strain C:D = 0 makes the smallest value 0 at best, as D is the
+        symmetric part of v n for some n, a characteristic: what signals the loss is a negative value.
+
+        e_r > 0: all v, 3 x 3, with the rate of p. The spin carries the stress along, which adds
+        ((n.sigma n) I - sigma + (sigma n) n - n (sigma n))/2, exact for the nominal traction rate too (Rice 1976).
+
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+        threads : int, optional
+
+        Returns
+        -------
+        Ellipticity
+        """
+        _check_threads(threads)
+        states = np.ascontiguousarray(states, STATE)
+        least, normal = _core.core_ellipticity(threads, self._par, _numbers(states.reshape(-1)))
+        least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
+        return Ellipticity(self.transverse_modulus(states), least[..., 0], normal[..., 0, :], least[..., 1], normal[..., 1, :])
 
     def follow(self, state, gradients, modes, functionals, targets, tolerance):
         """Follows increments of one point; the driver's engine.
@@ -377,7 +438,18 @@ class Material:
         return states[:done].view(STATE)[:, 0].view(np.recarray), amplitudes[:done, :m], int(status[0])
 
 
-STEADY_STRAIN = 40.0    # shear strain after which exp(-5.6 s), the slowest decay, is below round-off
+class Ellipticity(NamedTuple):
+    """What `Material.ellipticity` finds, for states of shape (...)."""
+
+    eta_t: np.ndarray                   # (...): transverse modulus
+    eigenvalue: np.ndarray              # (...): smallest of the acoustic tensor's symmetric part, in p
+    normal: np.ndarray                  # (..., 3): where it is
+    determinant: np.ndarray             # (...): smallest of the acoustic tensor, in p^2 (e_r = 0) or p^3
+    determinant_normal: np.ndarray      # (..., 3): where it is
+
+
+STEADY_DECAYS = 39.0    # exp(-39) is below round-off; Z2 decays by exp(-d2 s), s half the shear strain, the fabric faster
+SLOWEST_DECAY = 1.0     # d2 below which steady states are not waited for any longer
 
 
 def arithmetic(rounds):
@@ -389,6 +461,11 @@ def arithmetic(rounds):
 def status_message(status):
     """The core's words for a status."""
     return _core.core_message(int(status)).tobytes().decode().strip()
+
+
+def _check_threads(threads):
+    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+        raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
 
 
 def _remake(given):

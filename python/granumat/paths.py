@@ -39,6 +39,7 @@ class PathFile:
     state: np.record
     steps: list
     tolerance: float = driver.TOLERANCE
+    acoustic: bool = False
 
 
 def read_path_file(path):
@@ -55,8 +56,8 @@ def read_path_file(path):
             content = tomllib.load(file)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"{path}: not a TOML file: {error}") from None
-    faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance"
-              for name in content if name not in ("material", "initial", "step", "tolerance")]
+    faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance, output"
+              for name in content if name not in ("material", "initial", "step", "tolerance", "output")]
     material = _attempt(faults, "", _material, content)
     state = _attempt(faults, "", _initial, material, content)
     entries = content.get("step", [])
@@ -69,8 +70,13 @@ def read_path_file(path):
     tolerance = content.get("tolerance", driver.TOLERANCE)
     if not is_number(tolerance) or not 0 < tolerance < 1:
         faults.append(f"tolerance = {tolerance!r}: must be a number in (0, 1)")
+    output = _attempt(faults, "", _table, content, "output") or {}
+    faults += [f"[output]: unknown key {key!r}: allowed is acoustic" for key in output if key != driver.ACOUSTIC]
+    acoustic = output.get(driver.ACOUSTIC, False)
+    if not isinstance(acoustic, bool):
+        faults.append(f"[output]: acoustic = {acoustic!r}: must be true or false")
     refuse(f"{path} cannot be run", faults)
-    return PathFile(material, state, steps, tolerance)
+    return PathFile(material, state, steps, tolerance, acoustic)
 
 
 def _attempt(faults, prefix, function, *arguments):
