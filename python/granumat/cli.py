@@ -23,12 +23,13 @@ def main(arguments=None):
     figures = commands.add_parser("figures", help="draw the model's curves of the paper's figures")
     figures.add_argument("names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     commands.add_parser("bench", help="time paths against SciPy's solvers at equal error")
-    for command in (point, figures):
+    stability = commands.add_parser("stability", help="map how large an increment each integration method stands")
+    for command in (point, figures, stability):
         command.add_argument("--out", type=Path, required=True, help="directory for what is written")
     options = parser.parse_args(arguments)
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
-        {"point": run_point, "figures": run_figures, "bench": run_bench}[options.command](options)
+        {"point": run_point, "figures": run_figures, "bench": run_bench, "stability": run_stability}[options.command](options)
     except (ValueError, OSError, ImportError) as error:
         print(f"granumat: {error}", file=sys.stderr)
         return 2
@@ -58,6 +59,12 @@ def run_point(options):
 def run_figures(options):
     from .figures import draw_figures
     for path in draw_figures(options.out, options.names or None):
+        print(f"wrote {path}")
+
+
+def run_stability(options):
+    from .stability import write_stability
+    for path in write_stability(options.out):
         print(f"wrote {path}")
 
 
