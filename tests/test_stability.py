@@ -48,9 +48,18 @@ def test_explicit_methods_are_unstable_above_the_increments_of_theory(method, pr
     assert limit == pytest.approx(2 * REAL_LIMIT[method] / -RATE, rel=0.005)
 
 
+@pytest.mark.parametrize("elastic_strain", [0.01, 0.03])
+@pytest.mark.parametrize("method", EXPLICIT)
+def test_an_elastic_strain_makes_explicit_methods_unstable_above_its_own_multiple(method, elastic_strain):
+    # the stress relaxes at 1/e_r per unit of s
+    limit = stability.stability_limit(Material(method=method, elastic_strain=elastic_strain))
+    assert limit == pytest.approx(2 * REAL_LIMIT[method] * elastic_strain, rel=0.01)
+
+
+@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
 @pytest.mark.parametrize("method", ["exact", "bogacki-shampine", "backward-euler"])
-def test_the_others_have_no_limit(method):
-    assert stability.stability_limit(BY_NAME[method]) == np.inf
+def test_the_others_have_no_limit(method, elastic_strain):
+    assert stability.stability_limit(Material(method=method, elastic_strain=elastic_strain)) == np.inf
 
 
 def test_the_exact_update_is_stable_up_to_10_and_never_of_the_wrong_sign():

@@ -20,8 +20,9 @@ TRANSVERSE = np.array([1.0, 0, -1, 0, 0, 0])          # a fabric across it: abs 
 GAMMAS = np.geomspace(0.005, 10, 256)                 # shear increments looked at, 3 % apart
 REPEATS = 200                                         # increments after which a perturbation must have decayed
 PERTURBATION = 1e-3                                   # of the steady fabric
+ELASTIC_STRAIN = 0.01                                 # e_r of the second limit: with it the stress can be unstable too
 ACCURATE, ROUGH = 0.01, 0.1                           # errors, of kappa
-ANGLES = np.linspace(0, np.pi, 49)                    # of a fabric to S^
+ANGLES = np.linspace(0, np.pi, 33)                    # of a fabric to S^
 
 # What an increment gives, from good to bad: what is wrong and returned is worse than what is reported.
 OUTCOMES = ("error below 1 %", "error 1 to 10 %", "reported", "error above 10 %", "wrong sign")
@@ -50,13 +51,18 @@ def states_of(material, fabrics):
 
 def settles(material, gammas):
     """Whether a perturbation of the steady state decays in repeated increments, for each size of them."""
-    steady = material["lambda"] * S_HAT                                                     # (A 9)
-    states = states_of(material, np.tile((1 - PERTURBATION) * steady, (len(gammas), 1)))
+    phi = 0.6
+    f = material["Zc"] + material["beta1"] * (phi - material["phic"]) ** material["beta2"]      # (4.9): Z2 as A:S^ = chi
+    steady = material.state(phi, f, material["lambda"] * S_HAT, S_HAT)                         # (A 9)
+    states = np.tile(np.array(steady, STATE), len(gammas)).view(np.recarray)
+    states["fabric"] *= 1 - PERTURBATION
     reported = np.zeros(len(gammas), bool)
     for _ in range(REPEATS):
         states, status = advance(material, states, gammas)
         reported |= status != 0
-    return ~reported & (tensors.modulus(states.fabric - steady) < PERTURBATION * material["kappa"])
+    settled = [np.abs(states[name] - steady[name]).max(1) < PERTURBATION * np.abs(steady[name]).max()
+               for name in ("fabric", "stress")]
+    return ~reported & np.all(settled, 0)
 
 
 def stability_limit(material):
@@ -107,9 +113,10 @@ def limits(outcome, gammas):
 def write_stability(out):
     """Writes what each method stands as stability.png, and its numbers.
 
-    stability.csv: per method, the shear increment above which perturbations of the steady state grow. stability-projection.csv
-    and stability-size.csv: per method and state, the first increments that are rough (1 %), wrong (10 %), of the wrong sign,
-    or reported; the state is A = x/2 S^, or has abs(A) and the worst of all directions. `inf`: none up to 10.
+    stability.csv: per method, the shear increment above which perturbations of the steady state grow, also of its stress with an
+    elastic strain scale. stability-projection.csv and stability-size.csv: per method and state, the first increments that are
+    rough (1 %), wrong (10 %), of the wrong sign, or reported; the state is A = x/2 S^, or has abs(A) and the worst of all
+    directions. `inf`: none up to 10.
 
     Parameters
     ----------
@@ -124,11 +131,13 @@ def write_stability(out):
     out.mkdir(parents=True, exist_ok=True)
     materials = [Material(method=method) for method in METHODS]
     x, size = _projections(materials[0]), _sizes(materials[0])
-    steady = [stability_limit(material) for material in materials]
+    steady, elastic = ([stability_limit(Material(method=method, elastic_strain=value)) for method in METHODS]
+                       for value in (0.0, ELASTIC_STRAIN))
     projected, sized = outcomes(materials, np.outer(x / 2, S_HAT), GAMMAS), _worst_of_directions(materials, size)
     paths = [out / name for name in ("stability.png", "stability.csv", "stability-projection.csv", "stability-size.csv")]
-    _picture(materials, steady, (x, projected), (size, sized)).savefig(paths[0], dpi=130)
-    _write(paths[1], ("method", "unstable_above"), [(method, [limit]) for method, limit in zip(METHODS, steady)])
+    _picture(materials, steady, elastic, (x, projected), (size, sized)).savefig(paths[0], dpi=130)
+    _write(paths[1], ("method", "unstable_above", f"unstable_above_with_elastic_strain_{ELASTIC_STRAIN}"),
+           [(method, both) for method, *both in zip(METHODS, steady, elastic)])
     for path, name, states, found in ((paths[2], "A:S^", x, projected), (paths[3], "abs(A)", size, sized)):
         rows = [(method, [state, *row]) for method, outcome in zip(METHODS, found)
                 for state, row in zip(states, limits(outcome, GAMMAS))]
@@ -158,7 +167,7 @@ def _write(path, names, rows):
     partial.replace(path)
 
 
-def _picture(materials, steady, projection, size):
+def _picture(materials, steady, elastic, projection, size):
     chi, limit = materials[0]["chi"], materials[0]["fabric_limit"]
     marks = (((chi, "steady"), (0, "isotropic"), (-chi, "reversed"), (2 * limit, "\n\nno return")),
              ((0, "isotropic"), (materials[0]["kappa"], "steady"), (limit, "\n\ncan blow up")))
@@ -167,22 +176,33 @@ def _picture(materials, steady, projection, size):
     *rows, below = figure.subfigures(3, 1, height_ratios=(1, 1, 0.13))
     axes = np.array([row.subplots(1, len(materials), sharey=True) for row in rows])
     for row, (states, found), ticks in zip(axes, (projection, size), marks):
-        for column, material, outcome, stable in zip(row, materials, found, steady):
+        for column, material, outcome, stable, elastic_stable in zip(row, materials, found, steady, elastic):
             column.pcolormesh(states, GAMMAS, outcome.T, cmap=ListedColormap(COLOURS),
                               norm=BoundaryNorm(np.arange(len(COLOURS) + 1) - 0.5, len(COLOURS)), rasterized=True)
             column.set_yscale("log")
             column.set_xticks([place for place, _ in ticks], [f"{text}\n{place:.3g}" for place, text in ticks], fontsize=8)
             column.set_title(material.method, fontsize=12)
             column.grid(linewidth=0.3, color="0.5")
-            column.axhline(stable, color="k", linestyle="--", linewidth=1.2)
-            words = f"unstable above {stable:.3f}" if np.isfinite(stable) else "stable at every increment"
-            column.text(0.5, min(stable, 6.0), words, transform=column.get_yaxis_transform(), ha="center", va="bottom", fontsize=9,
-                        bbox={"facecolor": "w", "edgecolor": "none", "alpha": 0.7, "pad": 1})
+            _line(column, stable, "--", f"unstable above {stable:.3f}")
+            _line(column, elastic_stable, ":", f"with $e_r$ = {ELASTIC_STRAIN}: {elastic_stable:.3f}")
+            if not np.isfinite([stable, elastic_stable]).any():
+                _say(column, 6.0, "stable at every increment")
         row[0].set_ylabel("shear increment $\\gamma$")
     rows[0].supxlabel("fabric along the flow, $A:\\hat S$", fontsize=11)
     rows[1].supxlabel("size of the fabric, $|A|$; the worst of all directions", fontsize=11)
     handles = [Patch(facecolor=colour, edgecolor="0.5", label=name) for colour, name in zip(COLOURS, OUTCOMES)]
     below.legend(handles=handles, loc="center", ncols=len(handles), frameon=False, fontsize=12,
-                  title="error of the fabric after one increment, of its steady size $\\kappa$; dashed: above it the steady state "
-                        "itself is unstable under repeated increments")
+                  title="error of the fabric after one increment, of its steady size $\\kappa$; dashed, dotted: above it the "
+                        "steady state itself is unstable under repeated increments")
     return figure
+
+
+def _line(axes, gamma, style, words):
+    if np.isfinite(gamma):
+        axes.axhline(gamma, color="k", linestyle=style, linewidth=1.2)
+        _say(axes, gamma, words)
+
+
+def _say(axes, gamma, words):
+    axes.text(0.5, gamma, words, transform=axes.get_yaxis_transform(), ha="center", va="bottom", fontsize=9,
+              bbox={"facecolor": "w", "edgecolor": "none", "alpha": 0.7, "pad": 1})
