@@ -84,6 +84,18 @@ contains
     call update_batch(par, old, gradient, threads, new, status)
   end subroutine core_update
 
+  !> With the tangent: seeds 6 for the strain, 9 for strain and spin.
+  subroutine core_tangent(n, threads, seeds, par, old, gradient, new, status, tangent) bind(c)
+    integer(c_int), value, intent(in) :: n, threads, seeds
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: old(n)
+    real(c_double), intent(in) :: gradient(3, 3, n)
+    type(material_state), intent(out) :: new(n)
+    integer(c_int), intent(out) :: status(n)
+    real(c_double), intent(out) :: tangent(seeds, 6, n)
+    call update_batch(par, old, gradient, threads, new, status, tangent)
+  end subroutine core_tangent
+
   !> m free modes, in arrays of at least one row (f2py takes no empty ones).
   subroutine core_path(n, m, rows, par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status) &
       bind(c)
@@ -98,5 +110,18 @@ contains
     call follow_path(par, start, gradient, mode(:, :, :m), functional(:, :m), target(:m, :), tolerance, &
       states, amplitude(:m, :), done, status)
   end subroutine core_path
+
+  !> Multiplies and adds 2 * 12 * LANES * rounds times in registers: what the arithmetic of a benchmark is measured against.
+  subroutine core_arithmetic(rounds, total) bind(c)
+    integer(c_int), value, intent(in) :: rounds
+    real(c_double), intent(out) :: total
+    real(c_double) :: x(LANES, 12)
+    integer :: k
+    x = 1
+    do k = 1, rounds
+      x = x * 0.5_c_double + 0.25_c_double
+    end do
+    total = sum(x)
+  end subroutine core_arithmetic
 
 end module granumat_bindings

@@ -5,10 +5,10 @@
 module granumat_fabric
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters
-  use granumat_tensors, only: LANES, times
+  use granumat_tensors, only: LANES, corotate, times
   implicit none (type, external)
   private
-  public :: solve_fabric, fabric_at, y_at, projection_at, fabric_rate
+  public :: solve_fabric, vary_fabric, fabric_at, fabric_rate, projections_at, series_at, slopes_at, y_at
 
   integer, parameter :: MAX_TERMS = 20
   real(dp), parameter :: SERIES_REST = 1.0e-17_dp   ! first neglected term over the solution: below round-off
@@ -18,6 +18,7 @@ module granumat_fabric
     integer :: terms
     real(dp) :: c3
     real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
+    real(dp) :: factor(LANES, MAX_TERMS)       ! 1/k, or 0 for terms that a lane does without
   end type fabric_solution
 
 contains
@@ -51,6 +52,7 @@ contains
       inverse = 1.0_dp / k
       do i = 1, LANES                          ! one fused loop, W B - B W written out: the hottest of all
         factor = merge(inverse, 0.0_dp, rest(i) >= SERIES_REST)     ! a lane's number of terms is its own
+        solution%factor(i, k) = factor
         source = factor * par%c1 * solution%y(i, k - 1)
         decay = factor * par%c2 * mod_D(i)
         w1 = factor * w(i, 1)
@@ -82,14 +84,21 @@ contains
     type(fabric_solution), intent(in) :: solution
     real(dp), intent(in) :: t(LANES)
     real(dp) :: A(LANES, 6)
+    A = times(1 / y_at(solution, t), series_at(solution, t))
+  end function fabric_at
+
+  !> B at t.
+  pure function series_at(solution, t) result(B)
+    type(fabric_solution), intent(in) :: solution
+    real(dp), intent(in) :: t(LANES)
+    real(dp) :: B(LANES, 6)
     integer :: k
 
-    A = solution%B(:, :, solution%terms)
+    B = solution%B(:, :, solution%terms)
     do k = solution%terms - 1, 0, -1
-      A = times(t, A) + solution%B(:, :, k)
+      B = times(t, B) + solution%B(:, :, k)
     end do
-    A = times(1 / y_at(solution, t), A)
-  end function fabric_at
+  end function series_at
 
   !> y at t: positive as long as the fabric has not blown up.
   pure function y_at(solution, t) result(y)
@@ -104,20 +113,89 @@ contains
     end do
   end function y_at
 
-  !> A:S = -y'/(c3 y) at t.
-  pure function projection_at(solution, t) result(A_S)
+  !> y and y' at n places t.
+  pure subroutine slopes_at(solution, n, t, y, dot_y)
     type(fabric_solution), intent(in) :: solution
-    real(dp), intent(in) :: t(LANES)
-    real(dp) :: A_S(LANES), y(LANES), dot_y(LANES)
-    integer :: k
+    integer, intent(in) :: n
+    real(dp), intent(in) :: t(LANES, n)
+    real(dp), intent(out) :: y(LANES, n), dot_y(LANES, n)
+    integer :: i, j, k
 
-    y = solution%y(:, solution%terms)
+    y = spread(solution%y(:, solution%terms), 2, n)
     dot_y = 0
     do k = solution%terms - 1, 0, -1
-      dot_y = dot_y * t + y
-      y = y * t + solution%y(:, k)
+      do j = 1, n
+        do i = 1, LANES
+          dot_y(i, j) = dot_y(i, j) * t(i, j) + y(i, j)
+          y(i, j) = y(i, j) * t(i, j) + solution%y(i, k)
+        end do
+      end do
     end do
+  end subroutine slopes_at
+
+  !> A:S = -y'/(c3 y) at n places t.
+  pure subroutine projections_at(solution, n, t, A_S)
+    type(fabric_solution), intent(in) :: solution
+    integer, intent(in) :: n
+    real(dp), intent(in) :: t(LANES, n)
+    real(dp), intent(out) :: A_S(LANES, n)
+    real(dp) :: y(LANES, n), dot_y(LANES, n)
+    call slopes_at(solution, n, t, y, dot_y)
     A_S = -dot_y / (solution%c3 * y)
-  end function projection_at
+  end subroutine projections_at
+
+  !> The change of a solution with changes of the initial fabric and of the increment.
+  pure subroutine vary_fabric(par, solution, S, mod_D, w, d_A, d_S, d_mod_D, d_w, d_solution)
+    type(material_parameters), intent(in) :: par
+    type(fabric_solution), intent(in) :: solution
+    real(dp), intent(in) :: S(LANES, 6), mod_D(LANES), w(LANES, 3)
+    real(dp), intent(in) :: d_A(LANES, 6), d_S(LANES, 6), d_mod_D(LANES), d_w(LANES, 3)
+    type(fabric_solution), intent(out) :: d_solution
+    real(dp) :: factor, decay, d_decay, source, d_source, w1, w2, w3, B1, B2, B3, B4, B5, B6
+    integer :: i, k
+    logical :: spins
+
+    spins = any(abs(d_w) > 0)
+    d_solution%c3 = par%c3
+    d_solution%terms = solution%terms
+    d_solution%B(:, :, 0) = d_A
+    d_solution%y(:, 0) = 0
+    do k = 1, solution%terms
+      do i = 1, LANES                          ! as in solve_fabric
+        factor = solution%factor(i, k)
+        source = factor * par%c1 * solution%y(i, k - 1)
+        d_source = factor * par%c1 * d_solution%y(i, k - 1)
+        decay = factor * par%c2 * mod_D(i)
+        d_decay = factor * par%c2 * d_mod_D(i)
+        w1 = factor * w(i, 1)
+        w2 = factor * w(i, 2)
+        w3 = factor * w(i, 3)
+        B1 = d_solution%B(i, 1, k - 1)
+        B2 = d_solution%B(i, 2, k - 1)
+        B3 = d_solution%B(i, 3, k - 1)
+        B4 = d_solution%B(i, 4, k - 1)
+        B5 = d_solution%B(i, 5, k - 1)
+        B6 = d_solution%B(i, 6, k - 1)
+        d_solution%y(i, k) = -factor * par%c3 * (S(i, 1) * B1 + S(i, 2) * B2 + S(i, 3) * B3 &
+          + 2 * (S(i, 4) * B4 + S(i, 5) * B5 + S(i, 6) * B6) &
+          + d_S(i, 1) * solution%B(i, 1, k - 1) + d_S(i, 2) * solution%B(i, 2, k - 1) + d_S(i, 3) * solution%B(i, 3, k - 1) &
+          + 2 * (d_S(i, 4) * solution%B(i, 4, k - 1) + d_S(i, 5) * solution%B(i, 5, k - 1) + d_S(i, 6) * solution%B(i, 6, k - 1)))
+        d_solution%B(i, 1, k) = source * d_S(i, 1) + d_source * S(i, 1) + decay * B1 + d_decay * solution%B(i, 1, k - 1) &
+          + 2 * (w1 * B4 + w2 * B5)
+        d_solution%B(i, 2, k) = source * d_S(i, 2) + d_source * S(i, 2) + decay * B2 + d_decay * solution%B(i, 2, k - 1) &
+          + 2 * (w3 * B6 - w1 * B4)
+        d_solution%B(i, 3, k) = source * d_S(i, 3) + d_source * S(i, 3) + decay * B3 + d_decay * solution%B(i, 3, k - 1) &
+          - 2 * (w2 * B5 + w3 * B6)
+        d_solution%B(i, 4, k) = source * d_S(i, 4) + d_source * S(i, 4) + decay * B4 + d_decay * solution%B(i, 4, k - 1) &
+          + (w1 * (B2 - B1) + w2 * B6 + w3 * B5)
+        d_solution%B(i, 5, k) = source * d_S(i, 5) + d_source * S(i, 5) + decay * B5 + d_decay * solution%B(i, 5, k - 1) &
+          + (w2 * (B3 - B1) + w1 * B6 - w3 * B4)
+        d_solution%B(i, 6, k) = source * d_S(i, 6) + d_source * S(i, 6) + decay * B6 + d_decay * solution%B(i, 6, k - 1) &
+          + (w3 * (B3 - B2) - w1 * B5 - w2 * B4)
+      end do
+      if (spins) d_solution%B(:, :, k) = d_solution%B(:, :, k) &
+        + times(solution%factor(:, k), corotate(d_w, solution%B(:, :, k - 1)))
+    end do
+  end subroutine vary_fabric
 
 end module granumat_fabric

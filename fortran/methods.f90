@@ -7,7 +7,8 @@ module granumat_methods
   use granumat_status, only: OK, BAD_VOLUME_FRACTION, FABRIC_BLOWS_UP, INCREMENT_TOO_LARGE, NOT_CONVERGED, RESULT_NOT_FINITE
   use granumat_coordination, only: excess_coordination
   use granumat_stress, only: pressure, pressure_modulus
-  use granumat_rates, only: increment, rates, imply, model_deviator, I_EXCESS, I_PHI, I_DEV, N_EVOLVING
+  use granumat_increment, only: increment
+  use granumat_rates, only: rates, imply, model_deviator, I_EXCESS, I_PHI, I_DEV, N_EVOLVING
   use granumat_tensors, only: LANES, contract, corotate, modulus, times
   implicit none (type, external)
   private

@@ -8,6 +8,7 @@ module granumat_path
   use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
+  use granumat_tangent, only: N_SEEDS
   use granumat_tensors, only: LANES, strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
@@ -17,8 +18,6 @@ module granumat_path
   integer, parameter :: MAX_ITERATIONS = 30, MAX_HALVINGS = 12
   real(dp), parameter :: STRESS_TOLERANCE = 1.0e-10_dp     ! of the largest stress at hand
   real(dp), parameter :: STRESS_FLOOR = 1.0e-9_dp          ! k/d: below it a granular solid is at rest for every purpose
-  real(dp), parameter :: DIFFERENCE = 1.0e-7_dp            ! relative step of the Jacobian's forward differences
-  real(dp), parameter :: STRAIN_FLOOR = 1.0e-6_dp          ! strain taken as unit of that step where nothing moves yet
   real(dp), parameter :: SMALLEST_STEP = 1.0e-9_dp         ! of an increment, before the target counts as out of reach
   real(dp), parameter :: SAFETY = 0.9_dp, SHRINK = 0.2_dp, GROWTH = 4.0_dp
 
@@ -26,6 +25,7 @@ module granumat_path
   type :: control
     type(material_parameters) :: par
     real(dp), allocatable :: mode(:, :, :)       ! (3, 3, m)
+    real(dp), allocatable :: seeds(:, :)         ! (N_SEEDS, m): strain and spin of each mode
     real(dp), allocatable :: functional(:, :)    ! (6, m): weights of stress 11 22 33 12 13 23
   end type control
 
@@ -57,7 +57,7 @@ contains
     real(dp) :: step, rates(size(mode, 3))
     integer :: i, point_status(1)
 
-    law = control(par, mode, functional)
+    law = control(par, mode, seeds_of(mode), functional)
     state = start
     step = 1
     rates = 0
@@ -78,6 +78,17 @@ contains
       done = i
     end do
   end subroutine follow_path
+
+  pure function seeds_of(mode) result(seeds)
+    real(dp), intent(in) :: mode(:, :, :)
+    real(dp) :: seeds(N_SEEDS, size(mode, 3)), strain(LANES, 6), spin(LANES, 3)
+    integer :: k
+
+    do k = 1, size(mode, 3)
+      call strain_and_spin(mode(:, :, k:k), strain, spin)
+      seeds(:, k) = [strain(1, :), spin(1, :)]
+    end do
+  end function seeds_of
 
   !> One increment in as many inner steps as the tolerance asks for.
   pure subroutine controlled_increment(law, old, G, target_start, target_end, tolerance, step, rates, new, amplitude, status)
@@ -177,36 +188,32 @@ contains
     status = TARGET_NOT_REACHED
   end subroutine solve_step
 
-  !> A step with amplitudes q; in the other lanes with one of them shifted, for the Jacobian.
+  !> A step with amplitudes q: residual and, from the consistent tangent, Jacobian.
   pure subroutine try(law, old, step, G, target, q, found)
     type(control), intent(in) :: law
     type(material_state), intent(in) :: old
     real(dp), intent(in) :: step, G(3, 3), target(:), q(:)
     type(trial), intent(out) :: found
     type(lane_state) :: x, x_new
-    type(material_state) :: states(size(q) + 1)
-    real(dp) :: total(3, 3, size(q) + 1), strain(LANES, 6), spin(LANES, 3), delta
-    integer :: lane_status(LANES), k, m
+    type(material_state) :: state(1)
+    real(dp) :: total(3, 3, 1), strain(LANES, 6), spin(LANES, 3), tangent(LANES, 6, size(q))
+    integer :: status(LANES), k, m
 
     m = size(q)
-    delta = DIFFERENCE * max(maxval(abs(q)), step * maxval(abs(G)), STRAIN_FLOOR * step)
     total(:, :, 1) = step * G
     do k = 1, m
       total(:, :, 1) = total(:, :, 1) + q(k) * law%mode(:, :, k)
     end do
-    do k = 1, m
-      total(:, :, k + 1) = total(:, :, 1) + delta * law%mode(:, :, k)
-    end do
     call gather([old], x)
     call strain_and_spin(total, strain, spin)
-    call update(law%par, x, strain, spin, x_new, lane_status)
-    call scatter(x_new, states)
+    call update(law%par, x, strain, spin, x_new, status, law%seeds, tangent)
+    call scatter(x_new, state)
     found%q(:m) = q
-    found%status = maxval(lane_status(:m + 1))
-    found%state = states(1)
-    found%residual(:m) = matmul(states(1)%stress, law%functional) - target
+    found%status = status(1)
+    found%state = state(1)
+    found%residual(:m) = matmul(state(1)%stress, law%functional) - target
     do k = 1, m
-      found%jacobian(:m, k) = matmul(states(k + 1)%stress - states(1)%stress, law%functional) / delta
+      found%jacobian(:m, k) = matmul(tangent(1, :, k), law%functional)
     end do
   end subroutine try
 

@@ -5,20 +5,12 @@ module granumat_rates
   use granumat_kinds, only: dp
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_coordination, only: excess_coordination
+  use granumat_increment, only: increment
   use granumat_stress, only: pressure, pressure_modulus, stress_deviator
   use granumat_tensors, only: LANES, contract, corotate, modulus, times
   implicit none (type, external)
   private
   public :: rates, imply, model_deviator
-
-  !> A deformation with constant velocity gradient, and its invariants.
-  type, public :: increment
-    real(dp) :: direction(LANES, 6)    ! D^ = D/|D|
-    real(dp) :: S_hat(LANES, 6)        ! S/|D|
-    real(dp) :: mod_D(LANES)           ! |D|
-    real(dp) :: tr_D(LANES)
-    real(dp) :: spin(LANES, 3)         ! W12 W13 W23
-  end type increment
 
   ! What evolves, side by side: A in 1 ... 6, and from I_DEV on the deviatoric stress (constant for e_r = 0), tension positive.
   integer, parameter, public :: I_EXCESS = 7, I_PHI = 8, I_DEV = 9, N_EVOLVING = 14

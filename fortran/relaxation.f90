@@ -7,7 +7,7 @@ module granumat_relaxation
   use granumat_tensors, only: LANES
   implicit none (type, external)
   private
-  public :: relaxation_weights
+  public :: relaxation_weights, relaxation_weights_slope
 
   real(dp), parameter :: SERIES_END = 1.0e-17_dp
   real(dp), parameter :: FORWARD_FROM = 12   ! above it the forward recurrence of the moments loses less than two digits
@@ -19,11 +19,33 @@ contains
     real(dp), intent(in) :: ratio(LANES)      ! strain increment over e_r
     real(dp), intent(in) :: u(:, :)           ! (LANES, n)
     real(dp) :: weights(LANES, size(u, 2))
+
+    weights = moments(ratio, size(u, 2))
+    call solve_moments(u, weights)
+  end function relaxation_weights
+
+  !> Their derivative by the ratio; that of moment_j is exp(-ratio) - (j - 1) moment_j / ratio.
+  pure function relaxation_weights_slope(ratio, u) result(slope)
+    real(dp), intent(in) :: ratio(LANES)
+    real(dp), intent(in) :: u(:, :)
+    real(dp) :: slope(LANES, size(u, 2))
+    integer :: j
+
+    slope = moments(ratio, size(u, 2))
+    do j = 1, size(u, 2)
+      slope(:, j) = exp(-ratio) - (j - 1) * slope(:, j) / max(ratio, tiny(1.0_dp))
+    end do
+    call solve_moments(u, slope)
+  end function relaxation_weights_slope
+
+  !> Bjorck & Pereyra (1970): the Vandermonde system sum_i w_i u_i^(j-1) = moment_j, solved in place.
+  pure subroutine solve_moments(u, weights)
+    real(dp), intent(in) :: u(:, :)
+    real(dp), intent(inout) :: weights(:, :)
     integer :: n, i, k
 
     n = size(u, 2)
-    weights = moments(ratio, n)
-    do k = 1, n - 1                    ! Bjorck & Pereyra (1970): the Vandermonde system sum_i w_i u_i^j = moment_j
+    do k = 1, n - 1
       do i = n, k + 1, -1
         weights(:, i) = weights(:, i) - u(:, k) * weights(:, i - 1)
       end do
@@ -36,7 +58,7 @@ contains
         weights(:, i) = weights(:, i) - weights(:, i + 1)
       end do
     end do
-  end function relaxation_weights
+  end subroutine solve_moments
 
   !> moment_j = integral of ratio exp(-ratio u) u^(j-1) over 0 <= u <= 1, j = 1 ... n.
   pure function moments(ratio, n) result(moment)

@@ -5,8 +5,8 @@ module granumat_tensors
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: trace, deviator, contract, modulus, safe_modulus, times, product_symmetric, rotation, rotate, corotate, &
-    add_identity, strain_and_spin
+  public :: trace, deviator, contract, modulus, safe_modulus, times, product_symmetric, rotation, rotation_change, rotate, &
+    corotate, add_identity, strain_and_spin
 
   integer, parameter, public :: LANES = 8     ! one vector of AVX-512, two of AVX2, four of SSE2
 
@@ -121,6 +121,27 @@ contains
     R(:, 2, 3) = second * y * z - first * x
     R(:, 3, 2) = second * y * z + first * x
   end function rotation
+
+  !> The spin v with dR = V R for R = rotation(w) and a change d_w; for |w| <= 1/2, by its series.
+  pure function rotation_change(w, d_w) result(v)
+    real(dp), intent(in) :: w(LANES, 3), d_w(LANES, 3)
+    real(dp) :: v(LANES, 3), square(LANES), first(LANES), second(LANES), once(LANES, 3)
+
+    square = w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2
+    first = (1 - square / 12 * (1 - square / 30 * (1 - square / 56 * (1 - square / 90)))) / 2        ! (1 - cos a)/a^2
+    second = (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110)))) / 6      ! (a - sin a)/a^3
+    once = commute(w, d_w)
+    v = d_w + spread(first, 2, 3) * once + spread(second, 2, 3) * commute(w, once)
+  end function rotation_change
+
+  !> V W - W V of two spins, as a spin.
+  pure function commute(v, w) result(c)
+    real(dp), intent(in) :: v(LANES, 3), w(LANES, 3)
+    real(dp) :: c(LANES, 3)
+    c(:, 1) = v(:, 3) * w(:, 2) - v(:, 2) * w(:, 3)
+    c(:, 2) = v(:, 1) * w(:, 3) - v(:, 3) * w(:, 1)
+    c(:, 3) = v(:, 2) * w(:, 1) - v(:, 1) * w(:, 2)
+  end function commute
 
   !> R T R^T
   pure function rotate(R, T) result(rotated)

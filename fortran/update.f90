@@ -6,15 +6,17 @@ module granumat_update
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, safe_modulus, times, trace
-  use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
+  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
+  use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT, INSIDE
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
-  use granumat_fabric, only: fabric_solution, fabric_at, fabric_rate, projection_at, solve_fabric, y_at
+  use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric, y_at
   use granumat_coordination, only: N_NODES, exponential, integrate_coordination, nodes
   use granumat_stress, only: pressure, pressure_modulus
   use granumat_relaxation, only: relaxation_weights
-  use granumat_rates, only: increment, imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
+  use granumat_increment, only: increment, inner_solution, internal, to_increment
+  use granumat_rates, only: imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
   use granumat_methods, only: integrate_by_method, MAX_STEPS
+  use granumat_tangent, only: variation, start_variations, stress_changes, vary_inner_step
   implicit none (type, external)
   private
   public :: update
@@ -22,27 +24,21 @@ module granumat_update
   real(dp), parameter :: STEP_RATE = 0.4_dp      ! rate times inner step: 4 Gauss points then err by 1e-13 (tests/test_exact.py)
   real(dp), parameter :: FINER = 1.5_dp          ! with e_r > 0: interpolation in the kernel has half the order of Gauss's rule
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
+  real(dp), parameter :: REFERENCE_STRAIN = 1.0e-4_dp   ! |D| of the tangent at D = 0
   real(dp), parameter :: LARGEST_TRACE = 2.45_dp   ! of D^: sqrt(6)
-
-  !> What evolves inside an increment, and how far it has come.
-  type :: internal
-    real(dp) :: A(LANES, 6)            ! fabric
-    real(dp) :: excess(LANES)          ! Z2 - Zc
-    real(dp) :: phi(LANES)
-    real(dp) :: e(LANES)               ! ln(phi/phic)
-    real(dp) :: dev(LANES, 6)          ! deviatoric stress, tension positive
-  end type internal
 
 contains
 
-  !> Brings states over their strain increments. Where the status is not OK, the new state is the old one.
-  pure subroutine update(par, old, strain, spin, new, status)
+  !> Brings states over their strain increments. Where the status is not OK, the new state is the old one, the tangent 0.
+  pure subroutine update(par, old, strain, spin, new, status, seeds, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)    ! increments: 11 22 33 and engineering shears 12 13 23
     real(dp), intent(in) :: spin(LANES, 3)      ! increments of W12 W13 W23, W_ij = (du_i/dx_j - du_j/dx_i)/2
     type(lane_state), intent(out) :: new
     integer, intent(out) :: status(LANES)
+    real(dp), intent(in), optional :: seeds(:, :)          ! (N_SEEDS, n): changes of strain and spin, as above
+    real(dp), intent(out), optional :: tangent(:, :, :)    ! (LANES, 6, n): change of the stress with each of them
     type(increment) :: inc
     logical :: moves(LANES)
 
@@ -50,7 +46,9 @@ contains
     where (status == OK .and. .not. (sum(abs(strain), 2) + sum(abs(spin), 2) <= huge(1.0_dp))) status = NOT_FINITE
     inc = to_increment(strain, spin, status == OK)
     moves = inc%mod_D > 0
-    if (par%spin == BEFORE) then
+    if (present(tangent)) then
+      call deform_with_tangent(par, old, merge_strain(old, strain, moves), spin, new, status, seeds, tangent)
+    else if (par%spin == BEFORE) then
       call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
     else
       call deform(par, old, inc, new, status)
@@ -60,25 +58,58 @@ contains
     if (any(status /= OK)) call restore(status /= OK, old, new)
   end subroutine update
 
-  !> The increment; none in lanes that are not wanted.
-  pure function to_increment(strain, spin, wanted) result(inc)
+  !> The tangent is that of the exact update, whatever the method; of a small strain at D = 0.
+  pure subroutine deform_with_tangent(par, old, strain, spin, new, status, seeds, tangent)
+    type(material_parameters), intent(in) :: par
+    type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6), spin(LANES, 3)
-    logical, intent(in) :: wanted(LANES)
+    type(lane_state), intent(out) :: new
+    integer, intent(inout) :: status(LANES)
+    real(dp), intent(in) :: seeds(:, :)
+    real(dp), intent(out) :: tangent(:, :, :)
+    type(material_parameters) :: exactly
     type(increment) :: inc
-    real(dp) :: D(LANES, 6)
+    type(variation), allocatable :: change(:)
+    integer :: exact_status(LANES), j
+
+    inc = to_increment(strain, spin, status == OK)
+    exactly = par
+    exactly%method = EXACT
+    exact_status = status
+    allocate (change(size(seeds, 2)))
+    call start_variations(inc, seeds, change)
+    call deform(exactly, old, inc, new, exact_status, change, tangent)
+    do j = 1, size(tangent, 3)
+      tangent(:, :, j) = merge(tangent(:, :, j), 0.0_dp, spread(exact_status == OK, 2, 6))
+    end do
+    if (par%spin == BEFORE) then
+      call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
+    else if (par%method /= EXACT) then
+      call deform(par, old, inc, new, status)
+    else
+      status = exact_status
+    end if
+  end subroutine deform_with_tangent
+
+  !> The strain; where there is none, a small one along the last direction, or isotropic compression before any.
+  pure function merge_strain(old, strain, moves) result(merged)
+    type(lane_state), intent(in) :: old
+    real(dp), intent(in) :: strain(LANES, 6)
+    logical, intent(in) :: moves(LANES)
+    real(dp) :: merged(LANES, 6), direction(LANES)
+    logical :: fresh(LANES)
     integer :: k
 
+    merged = strain
+    if (all(moves)) return
+    fresh = modulus(old%direction) <= 0
     do k = 1, 6
-      D(:, k) = merge(strain(:, k), 0.0_dp, wanted) * merge(1.0_dp, 0.5_dp, k <= 3)
+      direction = old%direction(:, k)
+      if (k <= 3) direction = merge(-sqrt(2.0_dp / 3), direction, fresh)
+      if (k > 3) direction = 2 * direction                             ! engineering shears
+      merged(:, k) = merge(strain(:, k), REFERENCE_STRAIN * direction, moves)
     end do
-    do k = 1, 3
-      inc%spin(:, k) = merge(spin(:, k), 0.0_dp, wanted)
-    end do
-    inc%mod_D = safe_modulus(D)
-    inc%direction = times(1 / max(inc%mod_D, tiny(1.0_dp)), D)
-    inc%S_hat = deviator(inc%direction)
-    inc%tr_D = trace(D)
-  end function to_increment
+  end function merge_strain
 
   pure subroutine restore(lane, old, new)
     logical, intent(in) :: lane(LANES)
@@ -136,12 +167,14 @@ contains
   end function without_spin
 
   !> D /= 0.
-  pure subroutine deform(par, old, inc, new, status)
+  pure subroutine deform(par, old, inc, new, status, change, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
+    type(variation), intent(inout), optional :: change(:)
+    real(dp), intent(out), optional :: tangent(:, :, :)
     type(internal) :: x
     real(dp) :: factor(LANES)
 
@@ -152,7 +185,7 @@ contains
     if (par%method == EXACT) then
       new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
       where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
-      call integrate_exactly(par, inc, x, status)
+      call integrate_exactly(par, inc, x, status, change)
     else
       call integrate_otherwise(par, inc, x, status)
       new%volume_fraction = x%phi
@@ -164,6 +197,7 @@ contains
     new%coordination_number = par%Zc + x%excess
     new%direction = inc%direction
     new%stress = add_identity(x%dev, -pressure(par, factor, x%excess))
+    if (present(tangent)) call stress_changes(par, inc, x, change, tangent)
   end subroutine deform
 
   !> By the method of the parameters.
@@ -187,11 +221,12 @@ contains
   end subroutine integrate_otherwise
 
   !> Splits the increment where phi crosses phic, and each part into inner steps.
-  pure subroutine integrate_exactly(par, inc, x, status)
+  pure subroutine integrate_exactly(par, inc, x, status, change)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
+    type(variation), intent(inout), optional :: change(:)
     real(dp), dimension(LANES) :: e_end, crossing
     integer :: k
 
@@ -202,18 +237,21 @@ contains
     e_end = x%e - inc%tr_D
     crossing = 1
     where (x%e * e_end < 0) crossing = x%e / inc%tr_D
-    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status)
-    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status)
+    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status, change)
+    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status, change)
   end subroutine integrate_exactly
 
   !> Inner steps over the given share of the increment; phi stays on one side of phic.
-  pure subroutine integrate(par, inc, share, e_end, x, status)
+  pure subroutine integrate(par, inc, share, e_end, x, status, change)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES), e_end(LANES)
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
-    real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, mod_A
+    type(variation), intent(inout), optional :: change(:)
+    type(internal) :: before
+    real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, e_next, mod_A
+    type(inner_solution) :: inner
     integer :: step
 
     mod_A = modulus(x%A)
@@ -226,7 +264,10 @@ contains
       if (any(mod_A > par%fabric_limit)) rate = merge(smooth_rate(par, inc, mod_A), rate, mod_A > par%fabric_limit)    ! may grow
       steps = rest * graded_rate(par, inc, x, mod_A, rate, e_end) / STEP_RATE
       next_rest = rest - rest / aint(1 + min(steps, real(MAX_STEPS, dp)))
-      call inner_step(par, inc, rest - next_rest, e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end), x, status)
+      e_next = e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end)
+      if (present(change)) before = x
+      call inner_step(par, inc, rest - next_rest, e_next, x, inner, status)
+      if (present(change)) call vary_inner_step(par, inc, before, inner, change)
       rest = merge(next_rest, 0.0_dp, status == OK)
       mod_A = modulus(x%A)
     end do
@@ -265,83 +306,78 @@ contains
     end if
   end function graded_rate
 
-  pure subroutine inner_step(par, inc, share, e_end, x, status)
+  !> One inner step.
+  pure subroutine inner_step(par, inc, share, e_end, x, step, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES)          ! of the increment
     real(dp), intent(in) :: e_end(LANES)          ! ln(phi/phic) at the end
     type(internal), intent(inout) :: x
+    type(inner_solution), intent(out) :: step
     integer, intent(inout) :: status(LANES)
-    type(fabric_solution) :: solution
-    real(dp), dimension(LANES) :: mod_D, tr_D
-    real(dp) :: w(LANES, 3), S(LANES, 6), A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)
-    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, A_S
+    real(dp) :: one(LANES)
     integer :: i
 
-    mod_D = share * inc%mod_D
-    tr_D = share * inc%tr_D
-    S = times(mod_D, inc%S_hat)
+    step%share = share
+    step%mod_D = share * inc%mod_D
+    step%tr_D = share * inc%tr_D
+    step%S = times(step%mod_D, inc%S_hat)
     do i = 1, 3
-      w(:, i) = share * inc%spin(:, i)
+      step%w(:, i) = share * inc%spin(:, i)
     end do
-    call nodes(x%e, e_end, t, dt)
+    call nodes(x%e, e_end, step%t, step%dt)
     do i = 1, N_NODES
-      phi(:, i) = x%phi * exponential(-tr_D * t(:, i))
+      step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
     end do
-    x%phi = x%phi * exponential(-tr_D)
+    x%phi = x%phi * exponential(-step%tr_D)
+    step%phi_end = x%phi
     x%e = e_end
     if (par%closure == CRITICAL) then
       do i = 1, N_NODES
-        call imply(par, inc, phi(:, i), A(:, :, i), excess(:, i))
+        call imply(par, inc, step%phi(:, i), step%A(:, :, i), step%excess(:, i))
       end do
-      call imply(par, inc, x%phi, A(:, :, N_NODES + 1), excess(:, N_NODES + 1))
+      call imply(par, inc, x%phi, step%A(:, :, N_NODES + 1), step%excess(:, N_NODES + 1))
     else
-      call solve_fabric(par, x%A, S, mod_D, w, solution)
-      A(:, :, N_NODES + 1) = fabric_at(solution, spread(1.0_dp, 1, LANES))
-      where (status == OK .and. .not. (y_at(solution, spread(1.0_dp, 1, LANES)) > 0 &
-        .and. modulus(A(:, :, N_NODES + 1)) < REALISABLE)) status = FABRIC_BLOWS_UP
-      do i = 1, N_NODES
-        A_S(:, i) = projection_at(solution, t(:, i))
-      end do
+      one = 1
+      call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
+      step%A(:, :, N_NODES + 1) = fabric_at(step%fabric, one)
+      where (status == OK .and. .not. (y_at(step%fabric, one) > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
+        status = FABRIC_BLOWS_UP
+      call projections_at(step%fabric, N_NODES, step%t, step%A_S)
       if (par%elastic_strain > 0) then
         do i = 1, N_NODES
-          A(:, :, i) = fabric_at(solution, t(:, i))
+          step%A(:, :, i) = fabric_at(step%fabric, step%t(:, i))
         end do
-        call integrate_coordination(par, x%excess, A_S, modulus(S), mod_D, tr_D, phi, t, dt, excess(:, N_NODES + 1), excess)
-      else
-        call integrate_coordination(par, x%excess, A_S, modulus(S), mod_D, tr_D, phi, t, dt, excess(:, N_NODES + 1))
       end if
+      call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+        par%elastic_strain > 0, step%growth, step%integrand, step%excess)
     end if
-    x%A = A(:, :, N_NODES + 1)
-    x%excess = excess(:, N_NODES + 1)
+    x%A = step%A(:, :, N_NODES + 1)
+    x%excess = step%excess(:, N_NODES + 1)
     if (par%elastic_strain > 0) then
-      call relax(par, inc, mod_D, w, t, A, excess, x%dev)
+      call relax(par, inc, step, x%dev)
     else
       x%dev = model_deviator(par, inc, x%A, x%excess)
     end if
   end subroutine inner_step
 
   !> The deviatoric stress after an inner step with e_r > 0.
-  pure subroutine relax(par, inc, mod_D, w, t, A, excess, dev)
+  pure subroutine relax(par, inc, step, dev)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: mod_D(LANES), w(LANES, 3)                       ! of the inner step
-    real(dp), intent(in) :: t(LANES, N_NODES)
-    real(dp), intent(in) :: A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)     ! at t, and at the end
+    type(inner_solution), intent(in) :: step
     real(dp), intent(inout) :: dev(LANES, 6)
-    real(dp) :: ratio(LANES), u(LANES, N_NODES + 1), weights(LANES, N_NODES + 1), turned(LANES, 3)
-    integer :: i, k
+    real(dp) :: ratio(LANES), u(LANES, N_NODES + 1), weights(LANES, N_NODES + 1)
+    integer :: i
 
-    ratio = mod_D / par%elastic_strain
-    u(:, :N_NODES) = 1 - t
+    ratio = step%mod_D / par%elastic_strain
+    u(:, :N_NODES) = 1 - step%t
     u(:, N_NODES + 1) = 0
     weights = relaxation_weights(ratio, u)
-    dev = times(exp(-ratio), rotate(rotation(w), dev))
+    dev = times(exp(-ratio), rotate(rotation(step%w), dev))
     do i = 1, N_NODES + 1
-      do k = 1, 3
-        turned(:, k) = u(:, i) * w(:, k)
-      end do
-      dev = dev + times(weights(:, i), rotate(rotation(turned), model_deviator(par, inc, A(:, :, i), excess(:, i))))
+      dev = dev + times(weights(:, i), rotate(rotation(spread(u(:, i), 2, 3) * step%w), &
+        model_deviator(par, inc, step%A(:, :, i), step%excess(:, i))))
     end do
   end subroutine relax
 

@@ -1,4 +1,5 @@
-"""Paths of 1000 increments in process, beside SciPy's solvers of the same equations at equal error; prints ratios.
+"""Prints what the core costs: per point of a batch, with the tangent, by size and threads; Newton's residuals; and paths of 1000
+increments in process, beside SciPy's solvers of the same equations at equal error.
 
 The equations below are the rate form of simple shear in plane components and plain floats: the fastest that SciPy can be given.
 """
@@ -9,8 +10,8 @@ import time
 
 import numpy as np
 
-from . import driver
-from .material import Material
+from . import driver, tensors
+from .material import STATE, Material, arithmetic
 
 INCREMENTS = 1000
 SHEAR = -1.0                      # reversed from a steady state
@@ -40,7 +41,7 @@ def _constant_volume(c):
 def _constant_pressure(c):
     """tr D from dp = 0: p is affine in tr D but for |D|, so a few fixed-point turns give it to round-off."""
     def rate(_, state):
-        xx, yy, zz, xz, z2, phi = state
+        xx, yy, zz, xz, z2, _ = state
         mod_a = ((xx * xx + yy * yy + zz * zz) / 2 + xz * xz) ** 0.5
         factor, excess = c["a1"] + c["a2"] * mod_a, z2 - c["Zc"]
         tr = 0.0
@@ -98,8 +99,107 @@ def compare(control, rate, tolerance):
     return rows
 
 
+# ---- the batch -------------------------------------------------------------------------------------------------------
+
+BATCH_SHEAR = 0.01                # largest shear strain of an increment
+BYTES = 160 + 72 + 160 + 4        # a point's old state and gradient read, new state and status written
+# Additions, multiplications and divisions of one update: about 75 in each of 8 terms of the series, 16 exponentials and series
+# at the nodes of 24 each, 300 for stress, nodes and checks.
+OPERATIONS = 8 * 75 + 16 * 24 + 300
+
+
+def random_batch(material, n, shear=BATCH_SHEAR, seed=0):
+    """States (n,) near steady shear and displacement gradients (n, 3, 3) in random directions with spin."""
+    rng = np.random.default_rng(seed)
+    states = np.full(n, material.steady(PHI), STATE)
+    states["fabric"] *= rng.uniform(0.3, 1, n)[:, None]
+    states["coordination_number"] += rng.uniform(-0.3, 0.3, n)
+    gradient = rng.normal(size=(n, 3, 3))
+    gradient -= np.trace(gradient, axis1=1, axis2=2)[:, None, None] * np.eye(3) * 0.3
+    strain = tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2)
+    gradient *= (shear / 2 * rng.random(n) / tensors.modulus(strain))[:, None, None]
+    return states, gradient
+
+
+def _interleaved(actions):
+    """Median seconds of actions, run in turn so that noise hits all alike."""
+    seconds = [[] for _ in actions]
+    for _ in range(REPEATS):
+        for action, times in zip(actions, seconds):
+            start = time.perf_counter()
+            action()
+            times.append(time.perf_counter() - start)
+    return [statistics.median(times) for times in seconds]
+
+
+def print_batch(n=200_000):
+    """Cost per point, as multiples of streaming its bytes and of its arithmetic, with the tangent, and on two threads."""
+    material = Material()
+    states, gradient = random_batch(material, n)
+    out = np.empty(n, STATE)
+    source, target = np.ones(n * BYTES // 16), np.empty(n * BYTES // 16)
+    rounds = 2_000_000
+    update, tangent, two, stream, multiply = _interleaved([
+        lambda: material.update(states, gradient, out=out),
+        lambda: material.update_with_tangent(states, gradient, out=out),
+        lambda: material.update(states, gradient, out=out, threads=2),
+        lambda: np.copyto(target, source),
+        lambda: arithmetic(rounds)])
+    limit = OPERATIONS * multiply / arithmetic(rounds)
+    print(f"{n} points, random increments of shear strain up to {BATCH_SHEAR:g}, median of {REPEATS}:")
+    print(f"  update               {update / n * 1e9:7.0f} ns per point: {update / stream:5.1f} x streaming its {BYTES} bytes, "
+          f"{update / n / limit:5.1f} x its {OPERATIONS} operations in registers")
+    print(f"  update with tangent  {tangent / n * 1e9:7.0f} ns per point: {tangent / update:5.1f} x the update")
+    print(f"  update, two threads  {two / n * 1e9:7.0f} ns per point: {update / two:5.2f} x faster")
+
+
+def print_sizes(sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000)):
+    """Cost per point against the size of the batch."""
+    material = Material()
+    print("cost per point against the number of points:")
+    for n in sizes:
+        states, gradient = random_batch(material, min(n, 100_000))
+        states, gradient = np.resize(states, n), np.resize(gradient, (n, 3, 3))
+        out = np.zeros(n, STATE)
+        calls = max(1, 100_000 // n)
+        [seconds] = _interleaved([functools.partial(_update_often, material, states, gradient, out, calls)])
+        print(f"  {n:>10} {seconds / n / calls * 1e9:7.0f} ns")
+
+
+def _update_often(material, states, gradient, out, calls):
+    for _ in range(calls):
+        material.update(states, gradient, out=out)
+
+
+def newton_residuals(increment=0.02):
+    """Residuals (stress over p) of Newton's method for one reversed increment with all normal stresses held."""
+    material = Material()
+    state = material.steady(PHI)
+    gradient = np.zeros((3, 3))
+    gradient[0, 2] = -increment
+    pressure = -state.stress[:3].mean()
+    residuals = []
+    for _ in range(12):
+        new, tangent = material.update_with_tangent(state, gradient)
+        residual = (new.stress - state.stress)[:3]
+        residuals.append(float(np.abs(residual).max() / pressure))
+        if residuals[-1] < 1e-13:
+            break
+        gradient[np.diag_indices(3)] -= np.linalg.solve(tangent[:3, :3], residual)
+    return residuals
+
+
 def print_ratios():
-    """Prints the comparison for both controls."""
+    """Prints everything."""
+    print_batch()
+    print_sizes()
+    print("Newton's residuals, reversal by 0.02 with all normal stresses held: "
+          + " ".join(f"{residual:.1e}" for residual in newton_residuals()))
+    print_paths()
+
+
+def print_paths():
+    """Paths beside SciPy's solvers, for both controls."""
     for control, rate, tolerance in (("volume", _constant_volume, driver.TOLERANCE), ("pressure", _constant_pressure, 1e-6)):
         print(f"{INCREMENTS} increments of simple shear by {SHEAR:g} at constant {control}, median of {REPEATS}:")
         rows = compare(control, rate, tolerance)

@@ -58,7 +58,10 @@ def _reversal(material, control="volume"):
     return _history(material, material.steady(0.60), driver.shear(1, control), driver.shear(-2, control, increments=400))
 
 
-def _steady(material, distances=np.linspace(0.02, 0.2, 46)):
+DISTANCES = tuple(np.linspace(0.02, 0.2, 46))
+
+
+def _steady(material, distances=DISTANCES):
     """Columns of steady simple shear, from (phi - phic)^(1/2)."""
     states = [material.steady(phi) for phi in material["phic"] + np.asarray(distances) ** 2]
     return _derived(driver.state_columns(material, np.array(states, STATE)), material)

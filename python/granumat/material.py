@@ -283,11 +283,36 @@ class Material:
         MaterialError
             With the status of every point; failing points keep their old state, the others are done.
         """
+        return self._update(states, gradient, out, threads, None)
+
+    def update_with_tangent(self, states, gradient, spin=False, out=None, threads=1):
+        """As update, with the consistent tangent: the derivative of the exact update (whatever the method), in closed form.
+
+        At D = 0 it is that of a strain of 1e-4 along the last direction (isotropic compression before any).
+
+        Parameters
+        ----------
+        spin : bool
+            Whether the derivatives by the spin increments W_12, W_13, W_23 at fixed strain are appended.
+        states, gradient, out, threads
+            As in update.
+
+        Returns
+        -------
+        states : record array (...) of dtype STATE
+        tangent : array (..., 6, 6) or (..., 6, 9)
+            d stress_i / d (strain_j, spin_j): tension positive, engineering shear strains, xx yy zz xy xz yz; 0 where the
+            update fails.
+        """
+        tangent = np.empty((*np.shape(states), 6, 9 if spin else 6))
+        return self._update(states, gradient, out, threads, tangent), tangent
+
+    def _update(self, states, gradient, out, threads, tangent):
         old = np.ascontiguousarray(states, STATE).reshape(-1)
         gradient = np.ascontiguousarray(gradient, float)
         shape = np.shape(states)
-        if gradient.shape != shape + (3, 3):
-            raise ValueError(f"gradient has shape {gradient.shape}: must be {shape + (3, 3)} for states of shape {shape}")
+        if gradient.shape != (*shape, 3, 3):
+            raise ValueError(f"gradient has shape {gradient.shape}: must be {(*shape, 3, 3)} for states of shape {shape}")
         new = np.empty(shape, STATE) if out is None else out
         if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
             raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
@@ -296,7 +321,11 @@ class Material:
         if np.may_share_memory(old, new):
             old = old.copy()                                     # the core may not read what it writes
         status = np.zeros(old.size, np.int32)
-        _core.core_update(threads, self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status)
+        arguments = threads, self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status
+        if tangent is None:
+            _core.core_update(*arguments)
+        else:
+            _core.core_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]))
         records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         if status.any():
             first = int(np.flatnonzero(status)[0])
@@ -349,6 +378,12 @@ class Material:
 
 
 STEADY_STRAIN = 40.0    # shear strain after which exp(-5.6 s), the slowest decay, is below round-off
+
+
+def arithmetic(rounds):
+    """Does 192 * rounds additions and multiplications in registers: the arithmetic limit that bench compares with."""
+    _core.core_arithmetic(rounds)
+    return 192 * rounds
 
 
 def status_message(status):
