@@ -17,19 +17,26 @@ def main(arguments=None):
     parser = argparse.ArgumentParser(prog="granumat", description="Rate-independent granular materials with evolving "
                                      "microstructure, after Sun & Sundaresan (2011).")
     parser.add_argument("--version", action="version", version=f"granumat {__version__}")
-    commands = parser.add_subparsers(dest="command", required=True)
-    point = commands.add_parser("point", help="run a path file at one material point")
-    point.add_argument("path", type=Path, help="the path, a TOML file")
-    figures = commands.add_parser("figures", help="draw the model's curves of the paper's figures")
-    figures.add_argument("names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
-    commands.add_parser("bench", help="time paths against SciPy's solvers at equal error")
-    wellposed = commands.add_parser("wellposed", help="where each closure loses ellipticity after a reversal")
-    for command in (point, figures, wellposed):
-        command.add_argument("--out", type=Path, required=True, help="directory for what is written")
+    commands = parser.add_subparsers(required=True)
+
+    def command(name, run, words):
+        added = commands.add_parser(name, help=words, description=words)
+        added.set_defaults(run=run)
+        if run is not run_bench:
+            added.add_argument("--out", type=Path, required=True, help="directory for what is written")
+        return added
+
+    command("point", run_point, "run a path file at one material point").add_argument(
+        "path", type=Path, help="the path, a TOML file")
+    command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
+        "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
+    command("stability", run_stability, "map how large an increment each integration method stands")
+    command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
+    command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
     options = parser.parse_args(arguments)
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
-        {"point": run_point, "figures": run_figures, "bench": run_bench, "wellposed": run_wellposed}[options.command](options)
+        options.run(options)
     except (ValueError, OSError, ImportError) as error:
         print(f"granumat: {error}", file=sys.stderr)
         return 2
@@ -59,6 +66,12 @@ def run_point(options):
 def run_figures(options):
     from .figures import draw_figures
     for path in draw_figures(options.out, options.names or None):
+        print(f"wrote {path}")
+
+
+def run_stability(options):
+    from .stability import write_stability
+    for path in write_stability(options.out):
         print(f"wrote {path}")
 
 
