@@ -12,13 +12,14 @@ module granumat_fabric
 
   integer, parameter :: MAX_TERMS = 20
   real(dp), parameter :: SERIES_REST = 1.0e-17_dp   ! first neglected term over the solution: below round-off
+  real(dp), parameter :: TANGENT_REST = 1.0e-11_dp  ! the same for its changes
 
   !> Taylor coefficients of B and y in t, 0 <= t <= 1 over the increment.
   type, public :: fabric_solution
     integer :: terms
     real(dp) :: c3
     real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
-    real(dp) :: factor(LANES, MAX_TERMS)       ! 1/k, or 0 for terms that a lane does without
+    real(dp) :: rest(LANES, MAX_TERMS)         ! bound of each term over the solution
   end type fabric_solution
 
 contains
@@ -52,7 +53,7 @@ contains
       inverse = 1.0_dp / k
       do i = 1, LANES                          ! one fused loop, W B - B W written out: the hottest of all
         factor = merge(inverse, 0.0_dp, rest(i) >= SERIES_REST)     ! a lane's number of terms is its own
-        solution%factor(i, k) = factor
+        solution%rest(i, k) = rest(i)
         source = factor * par%c1 * solution%y(i, k - 1)
         decay = factor * par%c2 * mod_D(i)
         w1 = factor * w(i, 1)
@@ -151,18 +152,18 @@ contains
     real(dp), intent(in) :: S(LANES, 6), mod_D(LANES), w(LANES, 3)
     real(dp), intent(in) :: d_A(LANES, 6), d_S(LANES, 6), d_mod_D(LANES), d_w(LANES, 3)
     type(fabric_solution), intent(out) :: d_solution
-    real(dp) :: factor, decay, d_decay, source, d_source, w1, w2, w3, B1, B2, B3, B4, B5, B6
+    real(dp) :: inverse, factor, decay, d_decay, source, d_source, w1, w2, w3, B1, B2, B3, B4, B5, B6
     integer :: i, k
     logical :: spins
 
     spins = any(abs(d_w) > 0)
     d_solution%c3 = par%c3
-    d_solution%terms = solution%terms
     d_solution%B(:, :, 0) = d_A
     d_solution%y(:, 0) = 0
     do k = 1, solution%terms
+      inverse = 1.0_dp / k
       do i = 1, LANES                          ! as in solve_fabric
-        factor = solution%factor(i, k)
+        factor = merge(inverse, 0.0_dp, solution%rest(i, k) >= TANGENT_REST)
         source = factor * par%c1 * solution%y(i, k - 1)
         d_source = factor * par%c1 * d_solution%y(i, k - 1)
         decay = factor * par%c2 * mod_D(i)
@@ -194,7 +195,9 @@ contains
           + (w3 * (B3 - B2) - w1 * B5 - w2 * B4)
       end do
       if (spins) d_solution%B(:, :, k) = d_solution%B(:, :, k) &
-        + times(solution%factor(:, k), corotate(d_w, solution%B(:, :, k - 1)))
+        + times(merge(inverse, 0.0_dp, solution%rest(:, k) >= TANGENT_REST), corotate(d_w, solution%B(:, :, k - 1)))
+      d_solution%terms = k
+      if (all(solution%rest(:, k) < TANGENT_REST)) exit
     end do
   end subroutine vary_fabric
 
