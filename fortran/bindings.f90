@@ -21,6 +21,15 @@ contains
     par = parameters_from_friction(mu, closure, contact, calibration)
   end subroutine core_parameters
 
+  subroutine core_method(par, method, spin, tolerance) bind(c)
+    type(material_parameters), intent(inout) :: par
+    integer(c_int), value, intent(in) :: method, spin
+    real(c_double), value, intent(in) :: tolerance
+    par%method = method
+    par%spin = spin
+    par%method_tolerance = tolerance
+  end subroutine core_method
+
   !> After an override: which constants are faulty (1); what follows from them is set anew if none is.
   subroutine core_complete(par, faulty, valid) bind(c)
     type(material_parameters), intent(inout) :: par

@@ -20,6 +20,7 @@ module granumat_state
     real(dp) :: stress(LANES, 6), fabric(LANES, 6), direction(LANES, 6), coordination_number(LANES), volume_fraction(LANES)
   end type lane_state
 
+  real(dp), parameter, public :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)
   real(dp), parameter :: ROUND_OFF = 1.0e-12_dp   ! in fabrics of order one: far above what a long path gathers
 
 contains

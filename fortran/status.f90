@@ -14,6 +14,7 @@ module granumat_status
   integer, parameter, public :: TENSILE_PRESSURE = 7
   integer, parameter, public :: RESULT_NOT_FINITE = 8
   integer, parameter, public :: TARGET_NOT_REACHED = 9
+  integer, parameter, public :: NOT_CONVERGED = 10
 
   integer, parameter, public :: MESSAGE_LENGTH = 120
 
@@ -38,13 +39,15 @@ contains
     case (INCREMENT_TOO_LARGE)
       message = "the increment is beyond what one update integrates: more than 10000 inner steps"
     case (FABRIC_BLOWS_UP)
-      message = "the fabric equation (4.7) blows up within the increment"
+      message = "the fabric equation (4.7), or the method that integrates it, blows up within the increment"
     case (TENSILE_PRESSURE)
       message = "a1 + a2 abs(A) + g tr D^ is negative: the pressure would be tensile"
     case (RESULT_NOT_FINITE)
       message = "the result is not finite"
     case (TARGET_NOT_REACHED)
       message = "the prescribed stress cannot be reached, however small the increment"
+    case (NOT_CONVERGED)
+      message = "Newton's method does not converge: the increment is too large for it"
     case default
       message = "unknown status"
     end select

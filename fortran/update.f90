@@ -1,4 +1,5 @@
-!> The states at the end of a strain increment: exact for a velocity gradient that is constant over it.
+!> The states at the end of a strain increment: exact for a velocity gradient that is constant over it, unless a
+!! competing method is asked for.
 !!
 !! LANES points go side by side; each takes the inner steps that it needs by itself, those that are done wait with zero strain.
 module granumat_update
@@ -6,31 +7,22 @@ module granumat_update
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
   use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, safe_modulus, times, trace
-  use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_state, only: lane_state, check_state, is_finite, is_realisable
+  use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
+  use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
   use granumat_fabric, only: fabric_solution, fabric_at, fabric_rate, projection_at, solve_fabric, y_at
-  use granumat_coordination, only: N_NODES, excess_coordination, exponential, integrate_coordination, nodes
-  use granumat_stress, only: pressure, pressure_modulus, stress_deviator
+  use granumat_coordination, only: N_NODES, exponential, integrate_coordination, nodes
+  use granumat_stress, only: pressure, pressure_modulus
   use granumat_relaxation, only: relaxation_weights
+  use granumat_rates, only: increment, imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
+  use granumat_methods, only: integrate_by_method, MAX_STEPS
   implicit none (type, external)
   private
   public :: update
 
   real(dp), parameter :: STEP_RATE = 0.4_dp      ! rate times inner step: 4 Gauss points then err by 1e-13 (tests/test_exact.py)
   real(dp), parameter :: FINER = 1.5_dp          ! with e_r > 0: interpolation in the kernel has half the order of Gauss's rule
-  integer, parameter :: MAX_STEPS = 10000
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
-  real(dp), parameter :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)
   real(dp), parameter :: LARGEST_TRACE = 2.45_dp   ! of D^: sqrt(6)
-
-  !> A deformation with constant velocity gradient, and its invariants.
-  type :: increment
-    real(dp) :: direction(LANES, 6)    ! D^ = D/|D|
-    real(dp) :: S_hat(LANES, 6)        ! S/|D|
-    real(dp) :: mod_D(LANES)           ! |D|
-    real(dp) :: tr_D(LANES)
-    real(dp) :: spin(LANES, 3)         ! W12 W13 W23
-  end type increment
 
   !> What evolves inside an increment, and how far it has come.
   type :: internal
@@ -58,7 +50,11 @@ contains
     where (status == OK .and. .not. (sum(abs(strain), 2) + sum(abs(spin), 2) <= huge(1.0_dp))) status = NOT_FINITE
     inc = to_increment(strain, spin, status == OK)
     moves = inc%mod_D > 0
-    call deform(par, old, inc, new, status)
+    if (par%spin == BEFORE) then
+      call deform(par, turned(old, inc%spin), without_spin(inc), new, status)
+    else
+      call deform(par, old, inc, new, status)
+    end if
     if (.not. all(moves)) call turn(old, inc%spin, moves, new)
     where (status == OK .and. .not. is_finite(new)) status = RESULT_NOT_FINITE
     if (any(status /= OK)) call restore(status /= OK, old, new)
@@ -105,20 +101,36 @@ contains
     real(dp), intent(in) :: spin(LANES, 3)
     logical, intent(in) :: moves(LANES)
     type(lane_state), intent(inout) :: new
-    type(lane_state) :: turned
-    real(dp) :: R(LANES, 3, 3)
 
-    turned = old
-    R = rotation(spin)
     if (any(.not. moves .and. maxval(abs(spin), 2) > 0)) then
-      turned%stress = rotate(R, old%stress)
-      turned%fabric = rotate(R, old%fabric)
-      turned%direction = rotate(R, old%direction)
+      call restore(.not. moves, turned(old, spin), new)
+    else
+      call restore(.not. moves, old, new)
     end if
-    call restore(.not. moves, turned, new)
   end subroutine turn
 
-  !> D /= 0: splits the increment where phi crosses phic, and each part into inner steps.
+  !> States turned by exp(W).
+  pure function turned(old, spin) result(new)
+    type(lane_state), intent(in) :: old
+    real(dp), intent(in) :: spin(LANES, 3)
+    type(lane_state) :: new
+    real(dp) :: R(LANES, 3, 3)
+
+    new = old
+    R = rotation(spin)
+    new%stress = rotate(R, old%stress)
+    new%fabric = rotate(R, old%fabric)
+    new%direction = rotate(R, old%direction)
+  end function turned
+
+  pure function without_spin(inc) result(straight)
+    type(increment), intent(in) :: inc
+    type(increment) :: straight
+    straight = inc
+    straight%spin = 0
+  end function without_spin
+
+  !> D /= 0.
   pure subroutine deform(par, old, inc, new, status)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
@@ -126,26 +138,20 @@ contains
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
     type(internal) :: x
-    real(dp), dimension(LANES) :: e_end, crossing, factor
-    integer :: k
-
-    new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
-    where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
+    real(dp) :: factor(LANES)
 
     x%A = old%fabric
     x%excess = old%coordination_number - par%Zc
     x%phi = old%volume_fraction
     x%dev = deviator(old%stress)
-    do k = 1, LANES
-      if (status(k) == OK) x%e(k) = log(old%volume_fraction(k) / par%phic)
-      if (status(k) /= OK) x%e(k) = 1
-    end do
-    e_end = x%e - inc%tr_D
-    crossing = 1
-    where (x%e * e_end < 0) crossing = x%e / inc%tr_D
-    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status)
-    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status)
-
+    if (par%method == EXACT) then
+      new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
+      where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
+      call integrate_exactly(par, inc, x, status)
+    else
+      call integrate_otherwise(par, inc, x, status)
+      new%volume_fraction = x%phi
+    end if
     factor = pressure_modulus(par, x%A, inc%direction)
     where (status == OK .and. factor < 0) status = TENSILE_PRESSURE
     where (status == OK .and. .not. is_realisable(x%A)) status = FABRIC_BLOWS_UP
@@ -154,6 +160,46 @@ contains
     new%direction = inc%direction
     new%stress = add_identity(x%dev, -pressure(par, factor, x%excess))
   end subroutine deform
+
+  !> By the method of the parameters.
+  pure subroutine integrate_otherwise(par, inc, x, status)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(inout) :: x
+    integer, intent(inout) :: status(LANES)
+    real(dp) :: y(LANES, N_EVOLVING)
+
+    y(:, :6) = x%A
+    y(:, I_EXCESS) = x%excess
+    y(:, I_PHI) = x%phi
+    y(:, I_DEV:) = x%dev
+    call integrate_by_method(par, inc, y, status)
+    x%A = y(:, :6)
+    x%excess = y(:, I_EXCESS)
+    x%phi = y(:, I_PHI)
+    x%dev = y(:, I_DEV:)
+    if (.not. par%elastic_strain > 0) x%dev = model_deviator(par, inc, x%A, x%excess)
+  end subroutine integrate_otherwise
+
+  !> Splits the increment where phi crosses phic, and each part into inner steps.
+  pure subroutine integrate_exactly(par, inc, x, status)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(inout) :: x
+    integer, intent(inout) :: status(LANES)
+    real(dp), dimension(LANES) :: e_end, crossing
+    integer :: k
+
+    do k = 1, LANES
+      if (status(k) == OK) x%e(k) = log(x%phi(k) / par%phic)
+      if (status(k) /= OK) x%e(k) = 1
+    end do
+    e_end = x%e - inc%tr_D
+    crossing = 1
+    where (x%e * e_end < 0) crossing = x%e / inc%tr_D
+    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status)
+    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status)
+  end subroutine integrate_exactly
 
   !> Inner steps over the given share of the increment; phi stays on one side of phic.
   pure subroutine integrate(par, inc, share, e_end, x, status)
@@ -241,11 +287,9 @@ contains
     x%e = e_end
     if (par%closure == CRITICAL) then
       do i = 1, N_NODES
-        A(:, :, i) = par%lambda * inc%S_hat                                                  ! (A 9)
-        excess(:, i) = excess_coordination(par, phi(:, i) - par%phic)
+        call imply(par, inc, phi(:, i), A(:, :, i), excess(:, i))
       end do
-      A(:, :, N_NODES + 1) = A(:, :, 1)
-      excess(:, N_NODES + 1) = excess_coordination(par, x%phi - par%phic)
+      call imply(par, inc, x%phi, A(:, :, N_NODES + 1), excess(:, N_NODES + 1))
     else
       call solve_fabric(par, x%A, S, mod_D, w, solution)
       A(:, :, N_NODES + 1) = fabric_at(solution, spread(1.0_dp, 1, LANES))
@@ -295,13 +339,5 @@ contains
       dev = dev + times(weights(:, i), rotate(rotation(turned), model_deviator(par, inc, A(:, :, i), excess(:, i))))
     end do
   end subroutine relax
-
-  pure function model_deviator(par, inc, A, excess) result(dev)
-    type(material_parameters), intent(in) :: par
-    type(increment), intent(in) :: inc
-    real(dp), intent(in) :: A(LANES, 6), excess(LANES)
-    real(dp) :: dev(LANES, 6)
-    dev = stress_deviator(par, A, inc%S_hat, pressure(par, pressure_modulus(par, A, inc%direction), excess))
-  end function model_deviator
 
 end module granumat_update

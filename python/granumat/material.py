@@ -11,6 +11,8 @@ CLOSURES = ("critical", "basic", "n2", "full", "kinematic")       # positions ar
 CONTACTS = ("hookean", "hertzian")
 CALIBRATIONS = ("table-1", "text", "figure-16")
 FRICTIONS = ("linear", "quadratic")
+METHODS = ("exact", "forward-euler", "midpoint", "rk4", "bogacki-shampine", "backward-euler")
+SPINS = ("inside", "before")
 
 STATE = np.dtype([
     ("stress", "f8", 6), ("fabric", "f8", 6), ("direction", "f8", 6),
@@ -35,6 +37,7 @@ def _ranges():
 
 
 RANGES = _ranges()
+OPTIONS = ("closure", "contact", "friction", "calibration", "method", "spin", "method_tolerance")
 DERIVED = ("chi", "kappa", "lambda", "fabric_limit")
 
 
@@ -87,6 +90,13 @@ class Material:
         Source of a4: "table-1", "text" or "figure-16".
     elastic_strain : float
         e_r, strain over which the deviatoric stress relaxes to the model's; 0 is the paper.
+    method : str
+        How increments are integrated: "exact", or to compare with it "forward-euler", "midpoint" (explicit), "rk4",
+        "backward-euler", one step an increment each, or "bogacki-shampine", in substeps with an error estimate.
+    spin : str
+        "inside": integrated with the rest; "before": the state is rotated first, then strained, as UMATs usually do.
+    method_tolerance : float
+        Of the relative error that "bogacki-shampine" estimates in a substep.
     **constants : float
         Overrides, by name: a1 a2 a3 a4 b1 b2 b3 Zc phic c1 c2 c3 d1 d2 d3 beta1 beta2 g.
 
@@ -97,16 +107,20 @@ class Material:
     """
 
     def __init__(self, mu=0.5, closure="full", contact="hookean", friction="linear", calibration="table-1",
-                 elastic_strain=0.0, **constants):
+                 elastic_strain=0.0, method="exact", spin="inside", method_tolerance=1e-6, **constants):
         faults = []
         closure_number = choose("closure", closure, CLOSURES, faults)
         contact_number = choose("contact", contact, CONTACTS, faults)
         calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
         choose("friction", friction, FRICTIONS, faults)
+        method_number = choose("method", method, METHODS, faults)
+        spin_number = choose("spin", spin, SPINS, faults)
+        if not is_number(method_tolerance) or not 0 < method_tolerance < 1:
+            faults.append(f"method_tolerance = {method_tolerance!r}: must be a number in (0, 1)")
         given = {"mu": mu, "elastic_strain": elastic_strain, **constants}
         for name, value in given.items():
             if name not in RANGES:
-                choose("unknown name", name, ("closure", "contact", "friction", "calibration", *RANGES), faults)
+                choose("unknown name", name, OPTIONS + tuple(RANGES), faults)
             elif not is_number(value):
                 faults.append(f"{name} = {value!r}: must be a number, {describe_range(name)}")
             elif name in constants and name in UNUSED.get(closure, ()):
@@ -132,12 +146,15 @@ class Material:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
+        _core.core_method(par, method_number, spin_number, method_tolerance)
         self._par = par
         self._par.flags.writeable = False
         self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
+        self.method, self.spin = method, spin
         self.constants = dict(zip(names + list(DERIVED), par.tolist()))
         self._given = {"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
-                       "elastic_strain": elastic_strain, **constants}
+                       "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance,
+                       **constants}
 
     def __repr__(self):
         return "Material(" + ", ".join(f"{name}={value!r}" for name, value in self._given.items()) + ")"
@@ -233,15 +250,19 @@ class Material:
         return self.state(volume_fraction, coordination_number)
 
     def steady(self, volume_fraction):
-        """Steady simple shear at constant volume, du_x/dz > 0: the fixed point of (4.7) with its spin, and of (4.8)."""
+        """Steady simple shear at constant volume, du_x/dz > 0: the fixed point of (4.7) with its spin, and of (4.8).
+
+        Found by the exact update, whatever the material's method.
+        """
         gradient = np.zeros((3, 3))
         gradient[0, 2] = STEADY_STRAIN
-        return self.update(self.state(volume_fraction, self["Zc"]), gradient)
+        exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
+        return exact.update(exact.state(volume_fraction, self["Zc"]), gradient)
 
     # ---- what the core does ----------------------------------------------------------------------------------------
 
     def update(self, states, gradient, out=None, threads=1):
-        """The states after an increment of deformation, exact for a velocity gradient constant over it.
+        """The states after an increment of deformation; by the method "exact", exact for a velocity gradient constant over it.
 
         Parameters
         ----------
