@@ -8,6 +8,7 @@ from pathlib import Path
 from . import __version__, driver
 from .errors import GranumatError
 from .paths import read_path_file
+from .scenes import SCENES
 
 SAID_ON_SCREEN = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
 
@@ -22,13 +23,15 @@ def main(arguments=None):
     point.add_argument("path", type=Path, help="the path, a TOML file")
     figures = commands.add_parser("figures", help="draw the model's curves of the paper's figures")
     figures.add_argument("names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
+    chart = commands.add_parser("chart", help="measure and draw speed against accuracy of the update and its alternatives")
+    chart.add_argument("names", nargs="*", metavar="SCENE", help=f"from {', '.join(SCENES)}; all if none is given")
     commands.add_parser("bench", help="time paths against SciPy's solvers at equal error")
-    for command in (point, figures):
+    for command in (point, figures, chart):
         command.add_argument("--out", type=Path, required=True, help="directory for what is written")
     options = parser.parse_args(arguments)
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
-        {"point": run_point, "figures": run_figures, "bench": run_bench}[options.command](options)
+        {"point": run_point, "figures": run_figures, "chart": run_chart, "bench": run_bench}[options.command](options)
     except (ValueError, OSError, ImportError) as error:
         print(f"granumat: {error}", file=sys.stderr)
         return 2
@@ -59,6 +62,11 @@ def run_figures(options):
     from .figures import draw_figures
     for path in draw_figures(options.out, options.names or None):
         print(f"wrote {path}")
+
+
+def run_chart(options):
+    from .chart import draw_chart, summary
+    print("\n" + summary(draw_chart(options.out, options.names)))
 
 
 def run_bench(options):

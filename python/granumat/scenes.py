@@ -69,7 +69,7 @@ def reversal(points):
     return _reversed_shear("reversal of steady shear, increments of 0.01", points, [-0.01] * 20)
 
 
-CYCLES = np.array([1] * 4 + ([-1] * 8 + [1] * 8) * 3) * 0.0025     # shear strain between -0.01 and 0.01
+CYCLES = np.array([1] * 4 + [-1] * 8 + [1] * 8 + [-1] * 8) * 0.0025     # shear strain between -0.01 and 0.01
 
 
 def cycles_volume(points):
@@ -131,7 +131,7 @@ def through_phic(points):
 
 
 def unjamming(points):
-    return _reversed_shear("unjamming and jamming at constant volume, increments of 0.01", points, [-0.01] * 40, (0.5875, 0.5895))
+    return _reversed_shear("unjamming and jamming at constant volume, increments of 0.02", points, [-0.02] * 20, (0.5875, 0.5895))
 
 
 def stiff(points):
