@@ -186,7 +186,8 @@ contains
     type(increment), intent(in) :: inc
     real(dp), intent(inout) :: y(LANES, N_EVOLVING)
     integer, intent(inout) :: status(LANES)
-    real(dp) :: A(LANES, 6), S(LANES, 6), ratio(LANES), decay(LANES), forcing(LANES), excess(LANES)
+    real(dp), dimension(LANES, 6) :: A, S, dev
+    real(dp), dimension(LANES) :: ratio, decay, forcing, excess, determinant_sign
 
     y(:, I_PHI) = y(:, I_PHI) / (1 + inc%tr_D)
     A = y(:, :6)
@@ -204,34 +205,42 @@ contains
     y(:, I_EXCESS) = excess
     if (par%elastic_strain > 0) then
       ratio = inc%mod_D / par%elastic_strain
-      y(:, I_DEV:) = solution(implicit_matrix(1 + ratio, inc%spin, 0 * S, S), &
-        y(:, I_DEV:) + times(ratio, model_deviator(par, inc, A, excess)))
+      S = 0
+      dev = y(:, I_DEV:) + times(ratio, model_deviator(par, inc, A, excess))
+      call solve_linear(implicit_matrix(1 + ratio, inc%spin, S, S), dev, determinant_sign)
+      y(:, I_DEV:) = dev
     end if
   end subroutine implicit_step
 
   !> (4.7) by backward Euler. Newton's method starts from lambda S^, the attractor without spin (A 9): from there it finds the
-  !! root that belongs to small increments, whatever the increment.
+  !! root that belongs to small increments, whatever the increment. Not so where the fabric can blow up: started from A it
+  !! grows, or finds a root beyond the singularity, where the determinant or the factor of A is no longer positive.
   pure subroutine implicit_fabric(par, inc, S, A, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: S(LANES, 6)
     real(dp), intent(inout) :: A(LANES, 6)
     integer, intent(inout) :: status(LANES)
-    real(dp) :: start(LANES, 6), change(LANES, 6), factor(LANES)
-    logical :: active(LANES)
+    real(dp) :: start(LANES, 6), change(LANES, 6), factor(LANES), determinant_sign(LANES)
+    logical, dimension(LANES) :: active, converged, tame
     integer :: iteration, j
 
     start = A + par%c1 * S
-    A = par%lambda * inc%S_hat
+    tame = modulus(A) <= par%fabric_limit
+    do j = 1, 6
+      A(:, j) = merge(par%lambda * inc%S_hat(:, j), A(:, j), tame)
+    end do
     active = status == OK
     do iteration = 1, MAX_ITERATIONS
       factor = 1 - par%c2 * inc%mod_D - par%c3 * contract(A, S)
       change = start + corotate(inc%spin, A) - times(factor, A)
-      change = solution(implicit_matrix(factor, inc%spin, par%c3 * A, S), change)
+      call solve_linear(implicit_matrix(factor, inc%spin, par%c3 * A, S), change, determinant_sign)
       do j = 1, 6
         A(:, j) = merge(A(:, j) + change(:, j), A(:, j), active)
       end do
-      active = active .and. .not. modulus(change) <= LAST_CHANGE * par%kappa
+      converged = active .and. modulus(change) <= LAST_CHANGE * par%kappa
+      where (converged .and. .not. (factor > 0 .and. determinant_sign > 0)) status = FABRIC_BLOWS_UP
+      active = active .and. .not. converged
       if (.not. any(active)) return
     end do
     where (active) status = NOT_CONVERGED
@@ -250,15 +259,19 @@ contains
     end do
   end function implicit_matrix
 
-  !> Gaussian elimination. Rows are not exchanged: the matrix is the identity plus less, or its symmetric part dominates.
-  pure function solution(matrix, right) result(x)
-    real(dp), intent(in) :: matrix(LANES, 6, 6), right(LANES, 6)
-    real(dp) :: x(LANES, 6), m(LANES, 6, 6), factor(LANES)
+  !> Gaussian elimination; the solution replaces x. Rows are not exchanged: where the increment is not too large for the
+  !! method, the matrix has a symmetric part that dominates.
+  pure subroutine solve_linear(matrix, x, determinant_sign)
+    real(dp), intent(in) :: matrix(LANES, 6, 6)
+    real(dp), intent(inout) :: x(LANES, 6)
+    real(dp), intent(out) :: determinant_sign(LANES)
+    real(dp) :: m(LANES, 6, 6), factor(LANES)
     integer :: i, j, k
 
     m = matrix
-    x = right
+    determinant_sign = 1
     do k = 1, 6
+      determinant_sign = determinant_sign * sign(1.0_dp, m(:, k, k))
       do i = k + 1, 6
         factor = m(:, i, k) / m(:, k, k)
         do j = k + 1, 6
@@ -273,6 +286,6 @@ contains
       end do
       x(:, k) = x(:, k) / m(:, k, k)
     end do
-  end function solution
+  end subroutine solve_linear
 
 end module granumat_methods

@@ -34,7 +34,8 @@ module granumat_parameters
   integer, parameter, public :: HOOKEAN = 0, HERTZIAN = 1                                     ! contacts
   integer, parameter, public :: TABLE_1 = 0, TEXT = 1, FIGURE_16 = 2                          ! calibrations
 
-  integer, parameter, public :: EXACT = 0, FORWARD_EULER = 1, MIDPOINT = 2, RK4 = 3, BOGACKI_SHAMPINE = 4, BACKWARD_EULER = 5  ! methods
+  integer, parameter, public :: EXACT = 0, FORWARD_EULER = 1, MIDPOINT = 2, RK4 = 3, BOGACKI_SHAMPINE = 4, &       ! methods
+    BACKWARD_EULER = 5
   integer, parameter, public :: INSIDE = 0, BEFORE = 1                    ! spins: integrated with the rest, or a rotation first
 
   real(dp), parameter :: METHOD_TOLERANCE = 1.0e-6_dp

@@ -51,7 +51,7 @@ contains
     inc = to_increment(strain, spin, status == OK)
     moves = inc%mod_D > 0
     if (par%spin == BEFORE) then
-      call deform(par, turned(old, inc%spin), without_spin(inc), new, status)
+      call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
     else
       call deform(par, old, inc, new, status)
     end if
@@ -123,11 +123,16 @@ contains
     new%direction = rotate(R, old%direction)
   end function turned
 
-  pure function without_spin(inc) result(straight)
+  pure function without_spin(inc, lane) result(straight)
     type(increment), intent(in) :: inc
+    logical, intent(in) :: lane(LANES)
     type(increment) :: straight
+    integer :: k
+
     straight = inc
-    straight%spin = 0
+    do k = 1, 3
+      straight%spin(:, k) = merge(0.0_dp, inc%spin(:, k), lane)
+    end do
   end function without_spin
 
   !> D /= 0.
@@ -173,7 +178,7 @@ contains
     y(:, I_EXCESS) = x%excess
     y(:, I_PHI) = x%phi
     y(:, I_DEV:) = x%dev
-    call integrate_by_method(par, inc, y, status)
+    call integrate_by_method(par, without_spin(inc, .not. inc%mod_D > 0), y, status)      ! see turn
     x%A = y(:, :6)
     x%excess = y(:, I_EXCESS)
     x%phi = y(:, I_PHI)
