@@ -1,7 +1,8 @@
 """The paper's rate equations in Python, and outside solvers of them: NumPy for a batch, SciPy for a point, and a reference.
 
-Shares no code with the core. Written in components, so that a component is a float for one point or an array (n,) for many.
-A list y holds A_xx A_yy A_zz A_xy A_xz A_yz, Z2, phi and, with e_r > 0, the six components of sigma' (compression positive).
+Shares no code with the core; bench.py has simple shear alone, in fewer components and with the pressure held. Here a component is
+a float for one point or an array (n,) for many. A list y holds A_xx A_yy A_zz A_xy A_xz A_yz, Z2, phi and, with e_r > 0, the six
+components of sigma' (compression positive).
 """
 
 from typing import NamedTuple
