@@ -8,6 +8,7 @@ from pathlib import Path
 from . import __version__, driver
 from .errors import GranumatError
 from .paths import read_path_file
+from .scenes import SCENES
 
 SAID_ON_SCREEN = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
 
@@ -30,6 +31,8 @@ def main(arguments=None):
         "path", type=Path, help="the path, a TOML file")
     command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
+    command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives").add_argument(
+        "names", nargs="*", metavar="SCENE", help=f"from {', '.join(SCENES)}; all if none is given")
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
     command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
@@ -73,6 +76,11 @@ def run_stability(options):
     from .stability import write_stability
     for path in write_stability(options.out):
         print(f"wrote {path}")
+
+
+def run_chart(options):
+    from .chart import draw_chart, summary
+    print("\n" + summary(draw_chart(options.out, options.names)))
 
 
 def run_bench(options):

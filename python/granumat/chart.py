@@ -1,0 +1,369 @@
+"""Speed against accuracy: the update and its alternatives over the scenes of granumat.scenes, measured, charted, tabulated.
+
+Cost is processor time per point and given increment, of one thread, in a batch; SciPy's solvers go point by point, over a few
+of the points. Errors are the largest over points and increments' ends, against rates.reference: of A over kappa, of Z2, and of
+the stress over the point's largest pressure.
+"""
+
+import csv
+import functools
+import itertools
+import statistics
+import time
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from . import rates
+from .errors import MaterialError
+from .figures import BLUE, GREEN, ORANGE, PURPLE, RED
+from .material import STATE, Material, refuse
+from .scenes import SCENES
+
+POINTS = 1024
+POINTS_BY_SCIPY = 4
+ROUNDS = 25                               # of timing, all contenders in turn; the median counts
+BUDGET = 0.12                             # seconds in all after which a contender rests
+PIECES = tuple(2**k for k in range(7))    # of a given increment
+TOLERANCES = tuple(10.0**-k for k in range(2, 13, 2))
+TARGETS = (1e-3, 1e-6, 1e-9)              # errors to be reached, in the table
+
+CUT = {"inside": ("forward-euler", "midpoint", "rk4", "backward-euler"), "before": ("exact", "rk4", "backward-euler")}
+NUMPY = "NumPy RK4"
+SCIPY = {"DOP853": 1e-12, "LSODA": 1e-12, "Radau": 1e-8}        # and the tightest rtol that is tried
+COLUMNS = ("scene", "method", "spin", "pieces", "tolerance", "error_A", "error_Z2", "error_sigma",
+           "end_A", "end_Z2", "end_sigma", "ns_per_update", "status")
+
+STYLES = {
+    "exact": (RED, "o"), "rk4": (BLUE, "s"), "midpoint": (GREEN, "^"), "forward-euler": (ORANGE, "v"),
+    "backward-euler": (PURPLE, "D"), "bogacki-shampine": ("black", "P"), NUMPY: ("0.45", "s"),
+    "SciPy DOP853": ("0.55", "o"), "SciPy LSODA": ("0.65", "^"), "SciPy Radau": ("0.75", "D"),
+}
+BEST, WORST = 1e-16, 10.0                 # errors on the pictures' edges
+
+
+class Contender(NamedTuple):
+    """A method with its setting. `run` gives (path of results (steps, 14, n), "" or why points were refused)."""
+
+    method: str
+    spin: str
+    pieces: int | None
+    tolerance: float | None
+    points: slice
+    run: object
+
+
+class Row(NamedTuple):
+    """A line of chart.csv."""
+
+    scene: str
+    method: str
+    spin: str
+    pieces: int | None
+    tolerance: float | None
+    error_A: float
+    error_Z2: float
+    error_sigma: float
+    end_A: float
+    end_Z2: float
+    end_sigma: float
+    ns_per_update: float
+    status: str
+
+    @property
+    def error(self):
+        """The worst of the three."""
+        return max(self.error_A, self.error_Z2, self.error_sigma)
+
+
+# ---- contenders ------------------------------------------------------------------------------------------------------
+
+def run_core(material, states, gradients, pieces, path):
+    """Fills path (steps, n) of dtype STATE; what was refused, in words."""
+    spare = itertools.cycle((np.empty_like(path[0]), np.empty_like(path[0])))
+    refused, message = np.zeros(len(states), bool), ""
+    for gradient, end in zip(gradients, path):
+        for piece in range(pieces):
+            out = end if piece == pieces - 1 else next(spare)
+            try:
+                material.update(states, gradient, out=out)
+            except MaterialError as error:
+                refused |= error.status != 0
+                message = message or str(error).split(": ", 1)[1].split(" (and", 1)[0]
+            states = out
+    return path, f"refused at {np.count_nonzero(refused)} of {len(refused)} points: {message}" if message else ""
+
+
+def as_results(path):
+    """Results (steps, 14, n) of states (steps, n)."""
+    fields = [np.moveaxis(path["fabric"], 2, 1), path["coordination_number"][:, None], path["volume_fraction"][:, None],
+              np.moveaxis(path["stress"], 2, 1)]
+    return np.concatenate(fields, 1)
+
+
+def run_numpy(material, y, gradients, substeps):
+    return rates.runge_kutta(material, y, gradients, substeps), ""
+
+
+def run_scipy(material, y, gradients, method, rtol):
+    """Point by point."""
+    path = np.full((len(gradients), 14, y.shape[1]), np.nan)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")                       # LSODA's, of steps too many
+        for i in range(y.shape[1]):
+            try:
+                path[:, :, i] = rates.solve_point(material, y[:, i], gradients[..., i], method, rtol)
+            except ArithmeticError as error:
+                return path, f"refused at point {i}: {error}"
+    return path, ""
+
+
+def _core_contender(scene, path, method, spin, pieces=1, tolerance=None):
+    options = {} if tolerance is None else {"method_tolerance": tolerance}
+    material = Material(**scene.definition, method=method, spin=spin, **options)
+    run = functools.partial(run_core, material, scene.states, scene.gradients / pieces, pieces, path)
+    return Contender(method, spin, None if tolerance else pieces, tolerance, slice(None), run)
+
+
+def contenders(scene):
+    """All methods with all their settings, for a scene."""
+    path = np.zeros(scene.gradients.shape[:2], STATE)         # all of the core's write it, in turn
+    found = [_core_contender(scene, path, "exact", "inside", pieces) for pieces in PIECES[:2]]
+    found += [_core_contender(scene, path, "bogacki-shampine", "inside", tolerance=tolerance) for tolerance in TOLERANCES]
+    for spin, methods in CUT.items():
+        for method in methods:
+            found += [_core_contender(scene, path, method, spin, pieces) for pieces in PIECES]
+
+    material, gradients = Material(**scene.definition), rates.components_first(scene.gradients)
+    y, few = rates.unknowns(material, scene.states), slice(None, None, max(1, len(scene.states) // POINTS_BY_SCIPY))
+    for pieces in PIECES:
+        found.append(Contender(NUMPY, "inside", pieces, None, slice(None),
+                               functools.partial(run_numpy, material, y, gradients, pieces)))
+    for method, tightest in SCIPY.items():
+        found += [Contender(f"SciPy {method}", "inside", None, rtol, few,
+                            functools.partial(run_scipy, material, y[:, few], gradients[..., few], method, rtol))
+                  for rtol in TOLERANCES if rtol >= 0.9 * tightest]
+    return found
+
+
+# ---- measurement -----------------------------------------------------------------------------------------------------
+
+def errors(path, exact, kappa):
+    """Largest errors over all increments, then after the last one: of A/kappa, Z2, stress; infinite where not finite."""
+    pressure = -exact[:, 8:11].mean(1).min(0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        difference = np.abs(path - exact)
+        parts = difference[:, :6].max(1) / kappa, difference[:, 6], difference[:, 8:].max(1) / pressure
+    parts = [np.where(np.isfinite(part), part, np.inf).max(1) for part in parts]
+    return [float(part.max()) for part in parts] + [float(part[-1]) for part in parts]
+
+
+def measure(name, points=POINTS, rounds=ROUNDS):
+    """Rows of a scene: every contender once for its errors, and in turn up to `rounds` times for its time."""
+    scene = SCENES[name](points)
+    material = Material(**scene.definition)
+    exact = rates.reference(material, rates.unknowns(material, scene.states), rates.components_first(scene.gradients))
+    runners, seconds, outcomes = contenders(scene), {}, {}
+    for turn, (i, runner) in itertools.product(range(rounds), enumerate(runners)):
+        if turn and sum(seconds[i]) > BUDGET:
+            continue
+        start = time.thread_time()
+        with np.errstate(all="ignore"):
+            path, refused = runner.run()
+        seconds.setdefault(i, []).append(time.thread_time() - start)
+        if not turn:
+            path = as_results(path) if path.dtype == STATE else path
+            worst = errors(path, exact[..., runner.points], material["kappa"])
+            outcomes[i] = [np.inf] * 6 if refused else worst, refused or ("ok" if np.isfinite(worst).all() else "not finite")
+    rows = []
+    for i, runner in enumerate(runners):
+        updates = len(exact) * len(range(points)[runner.points])
+        ns = statistics.median(seconds[i]) / updates * 1e9
+        rows.append(Row(name, *runner[:4], *outcomes[i][0], ns, outcomes[i][1]))
+    return rows
+
+
+# ---- what it says ----------------------------------------------------------------------------------------------------
+
+def exact_row(rows):
+    """The exact update of whole increments."""
+    return next(row for row in rows if (row.method, row.spin, row.pieces) == ("exact", "inside", 1))
+
+
+def best(rows, target):
+    """The fastest row with no larger error, or None."""
+    return min((row for row in rows if row.error <= target), key=lambda row: row.ns_per_update, default=None)
+
+
+def better(rows):
+    """Rows both faster and more accurate than exact."""
+    exact = exact_row(rows)
+    return [row for row in rows if row.ns_per_update < exact.ns_per_update and row.error < exact.error]
+
+
+def named(row):
+    """Method and setting of a row, in words."""
+    setting = f"tolerance {row.tolerance:.0e}" if row.tolerance else f"{row.pieces} piece{'s' if row.pieces > 1 else ''}"
+    return f"{row.method}{', spin before' if row.spin == 'before' else ''}, {setting}"
+
+
+def _ratio(exact, row):
+    """Time of a row, or None, over exact's, in words."""
+    if row is None:
+        return "none"
+    ratio = row.ns_per_update / exact.ns_per_update
+    return f"{ratio:.{0 if ratio >= 10 else 1 if ratio >= 2 else 2}f}"
+
+
+def _fastest(scenes):
+    """Markdown: exact, then for every target its fastest competitor."""
+    lines = ["| scene | exact | " + " | ".join(f"error below {target:.0e}" for target in TARGETS) + " |",
+             "|---" * (2 + len(TARGETS)) + "|"]
+    for name, rows in scenes.items():
+        exact = exact_row(rows)
+        found = [best([row for row in rows if row.method != "exact"], target) for target in TARGETS]
+        cells = [f"{named(row)} ({row.ns_per_update:,.0f} ns, {row.error:.0e}): {_ratio(exact, row)}" if row else "none"
+                 for row in found]
+        lines.append(f"| {name} | {exact.ns_per_update:,.0f} ns, {exact.error:.0e} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _peers(scenes):
+    """Markdown: the fastest of NumPy and of SciPy for every target, over exact."""
+    lines = ["| scene | " + " | ".join(f"{peer}, {target:.0e}" for peer in ("NumPy", "SciPy") for target in TARGETS) + " |",
+             "|---" * (1 + 2 * len(TARGETS)) + "|"]
+    for name, rows in scenes.items():
+        cells = [_ratio(exact_row(rows), best([row for row in rows if row.method.startswith(peer)], target))
+                 for peer in ("NumPy", "SciPy") for target in TARGETS]
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def summary(scenes):
+    """What the rows of all scenes say, in Markdown."""
+    beaten = [f"{name}: {named(row)} ({row.ns_per_update:,.0f} ns, {row.error:.1e} against {exact_row(rows).error:.1e})"
+              for name, rows in scenes.items() for row in better(rows)]
+    return f"""The fastest competitor to reach an error (time per point and increment, its error): its time over exact's
+
+{_fastest(scenes)}
+
+The fastest of NumPy in the batch, and of SciPy point by point, to reach an error: time over exact's
+
+{_peers(scenes)}
+
+Both faster and more accurate than exact: {"; ".join(beaten) or "nothing"}"""
+
+
+# ---- pictures --------------------------------------------------------------------------------------------------------
+
+def _draw(axes, rows, size):
+    """Error against cost, a line for each method and spin; what was refused or is beyond WORST is a cross on the upper edge."""
+    for (method, spin), group in itertools.groupby(rows, lambda row: (row.method, row.spin)):
+        group = list(group)
+        colour, marker = STYLES[method]
+        before = spin == "before"
+        inside = [row for row in group if row.error <= WORST]
+        axes.plot([row.ns_per_update for row in inside], [max(row.error, BEST) for row in inside], color=colour,
+                  marker=marker, markersize=size, linewidth=size / 4, linestyle="--" if before else "-",
+                  markerfacecolor="white" if before else colour, zorder=3 if method == "exact" else 2)
+        beyond = [row.ns_per_update for row in group if row.error > WORST]
+        if beyond:
+            axes.plot(beyond, [WORST] * len(beyond), color=colour, marker="x", markersize=1.5 * size, linestyle="none",
+                      clip_on=False, zorder=4)
+    star = exact_row(rows)
+    axes.plot(star.ns_per_update, max(star.error, BEST), marker="*", markersize=4 * size, color=RED, zorder=5)
+    axes.set(xscale="log", yscale="log", ylim=(BEST, WORST))
+    axes.grid(linewidth=0.3)
+    axes.tick_params(labelsize=8)
+
+
+def _legend(figure, **options):
+    handles = [Line2D([], [], color=colour, marker=marker, markersize=5, label=method)
+               for method, (colour, marker) in STYLES.items()]
+    handles += [Line2D([], [], color="black", linestyle="--", marker="o", markerfacecolor="white", label='spin="before"'),
+                Line2D([], [], color="black", linestyle="none", marker="x", label="refused, not finite or above 10"),
+                Line2D([], [], color=RED, linestyle="none", marker="*", markersize=11, label="exact, increments whole")]
+    figure.legend(handles=handles, fontsize=8, frameon=False, **options)
+
+
+X_LABEL, Y_LABEL = "processor time per point and increment, ns", r"largest error of $A/\kappa$, $Z_2$, $\sigma/p$ over the path"
+
+
+def scene_figure(name, rows):
+    """The picture of one scene."""
+    figure = Figure(figsize=(9, 5.2))
+    figure.set_layout_engine("constrained", rect=(0, 0, 0.74, 1))
+    axes = figure.add_subplot(xlabel=X_LABEL, ylabel=Y_LABEL)
+    axes.set_title(f"{name}: {SCENES[name](1).title}", fontsize=10, pad=10)
+    _draw(axes, rows, 5)
+    _legend(figure, loc="center left", bbox_to_anchor=(0.74, 0.5))
+    return figure
+
+
+def overview(scenes):
+    """All scenes, small."""
+    columns = min(4, len(scenes))
+    lines = -(-len(scenes) // columns)
+    height = 2.7 * lines + 1
+    figure = Figure(figsize=(max(3.1 * columns, 6) + 0.4, height))
+    figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - 0.7 / height))
+    for i, (name, rows) in enumerate(scenes.items()):
+        axes = figure.add_subplot(lines, columns, i + 1)
+        axes.set_title(name, fontsize=9, pad=7)
+        _draw(axes, rows, 2.5)
+    figure.supxlabel(X_LABEL, fontsize=10)
+    figure.supylabel(Y_LABEL, fontsize=10)
+    _legend(figure, loc="upper center", ncol=5)
+    return figure
+
+
+# ---- the command -----------------------------------------------------------------------------------------------------
+
+def write_csv(path, rows):
+    """COLUMNS, a line a row; a setting that a method does not have is empty."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for row in rows:
+            writer.writerow(f"{value:.4g}" if isinstance(value, float) else value for value in row)
+
+
+def draw_chart(out, names=None, progress=print):
+    """Measures scenes; writes chart.csv, <scene>.png, and chart.png with all of them.
+
+    Parameters
+    ----------
+    out : path
+        Directory; made if need be.
+    names : iterable of str, optional
+        Keys of SCENES; the default is all.
+    progress : function of str
+        Told of every file.
+
+    Returns
+    -------
+    dict of str to list of Row
+        Of every scene.
+
+    Raises
+    ------
+    ValueError
+        Names every scene that does not exist.
+    """
+    names, out = names or list(SCENES), Path(out)
+    refuse("the chart cannot be drawn", [f"scene {name!r}: must be one of {', '.join(SCENES)}"
+                                         for name in names if name not in SCENES])
+    out.mkdir(parents=True, exist_ok=True)
+    scenes = {}
+    for name in names:
+        scenes[name] = measure(name)
+        scene_figure(name, scenes[name]).savefig(out / f"{name}.png", dpi=110)
+        progress(f"wrote {out / f'{name}.png'}")
+    write_csv(out / "chart.csv", itertools.chain(*scenes.values()))
+    overview(scenes).savefig(out / "chart.png", dpi=110)
+    progress(f"wrote {out / 'chart.csv'}\nwrote {out / 'chart.png'}")
+    return scenes

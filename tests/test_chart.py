@@ -1,0 +1,125 @@
+"""The chart: its solvers follow the paper, its errors are errors, what fails is shown as failed."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+
+import reference
+from granumat import STATE, Material, chart, rates, tensors
+from granumat.cli import main
+
+
+@pytest.fixture(scope="module")
+def reversal():
+    return chart.measure("reversal", points=8, rounds=1)
+
+
+@pytest.fixture(scope="module")
+def huge():
+    return chart.measure("huge", points=8, rounds=1)
+
+
+def cut(rows, method, spin="inside"):
+    """pieces -> row of a method."""
+    return {row.pieces: row for row in rows if (row.method, row.spin) == (method, spin)}
+
+
+@pytest.mark.parametrize("elastic_strain", [0.0, 1e-2])
+def test_rates_agree_with_the_tests_own_equations(rng, elastic_strain):
+    fabric, z2, phi, gradient = reference.random_increments(rng, 20, 0.5, 0.05)
+    deviator = reference.scale(1e-3 * rng.random(20), fabric / 0.04)
+    c = reference.constants(0.5) | {"elastic_strain": elastic_strain}
+    a, z, ph, p, dev = reference.integrate(c, fabric, z2, phi, gradient, deviator)
+    states = np.zeros(20, STATE)
+    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.six(fabric), z2, phi
+    states["stress"] = -tensors.six(deviator)
+    material = Material(0.5, elastic_strain=elastic_strain)
+    found, = rates.reference(material, rates.unknowns(material, states), rates.components_first(gradient[None]))
+    sigma = -tensors.six(dev + reference.scale(p, np.eye(3)))
+    np.testing.assert_allclose(found, [*tensors.six(a).T, z, ph, *sigma.T], rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["quarter-turn", "through-phic", "unjamming"])
+def test_half_the_steps_of_the_reference_change_it_by_less_than_1e_12(name):
+    scene = chart.SCENES[name](16)
+    material = Material(**scene.definition)
+    y, gradients = rates.unknowns(material, scene.states), rates.components_first(scene.gradients)
+    exact = rates.reference(material, y, gradients)
+    halved = rates.reference(material, y, gradients, rates.REFERENCE_MAX_STEP / 2)
+    assert max(chart.errors(halved, exact, material["kappa"])) < 1e-12
+
+
+def test_every_method_runs_in_a_scene(reversal):
+    assert {row.method for row in reversal} == set(chart.STYLES)
+    assert {row.status for row in reversal} == {"ok"}
+    assert all(row.ns_per_update > 0 for row in reversal)
+
+
+@pytest.mark.parametrize("scene", ["reversal", "huge"])
+def test_exact_is_at_round_off(scene, request):
+    assert chart.exact_row(request.getfixturevalue(scene)).error < 1e-12
+
+
+@pytest.mark.parametrize("method, order", [("forward-euler", 1), ("backward-euler", 1), ("midpoint", 2), ("rk4", 4),
+                                           ("NumPy RK4", 4)])
+def test_errors_fall_with_pieces_at_the_order_of_the_method(reversal, method, order):
+    rows = cut(reversal, method)
+    for name in ("error_A", "error_Z2", "error_sigma"):
+        coarse, fine = getattr(rows[1], name), getattr(rows[4], name)
+        assert math.log2(coarse / fine) / 2 == pytest.approx(order, abs=0.25)
+
+
+def test_rotation_before_the_strain_makes_exact_first_order(reversal):
+    rows = cut(reversal, "exact", "before")
+    assert math.log2(rows[1].error / rows[4].error) / 2 == pytest.approx(1, abs=0.1)
+
+
+def test_the_cores_rk4_and_numpys_err_alike(reversal):
+    for name in ("error_A", "error_Z2", "error_sigma"):
+        assert getattr(cut(reversal, "rk4")[1], name) == pytest.approx(getattr(cut(reversal, "NumPy RK4")[1], name), rel=1e-3)
+
+
+def test_refused_runs_are_marked_and_drawn_on_the_edge(huge):
+    refused = [row for row in huge if row.status.startswith("refused at")]
+    assert refused and all(math.isinf(row.error) for row in refused)
+    crosses = [line for line in chart.scene_figure("huge", huge).axes[0].lines if line.get_marker() == "x"]
+    assert sum(len(line.get_xdata()) for line in crosses) == sum(row.error > chart.WORST for row in huge)
+    assert all((np.array(line.get_ydata()) == chart.WORST).all() for line in crosses)
+
+
+def test_what_is_not_finite_counts_as_infinite_error():
+    exact = np.ones((1, 14, 2))
+    exact[:, 8:11] = -1
+    path = exact.copy()
+    path[0, 6, 1] = np.nan
+    assert chart.errors(path, exact, 1.0) == [0, np.inf, 0] * 2
+
+
+def test_the_command_writes_csv_and_pictures_and_says_what_is_fastest(huge, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(chart, "measure", lambda name: huge)
+    assert main(["chart", "--out", str(tmp_path), "huge"]) == 0
+    with (tmp_path / "chart.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert tuple(lines[0]) == chart.COLUMNS and len(lines) == len(huge)
+    assert any(line["status"].startswith("refused") and line["error_A"] == "inf" for line in lines)
+    assert all(bool(line["pieces"]) != bool(line["tolerance"]) for line in lines)
+    for name in ("huge", "chart"):
+        assert (tmp_path / f"{name}.png").read_bytes()[:4] == b"\x89PNG"
+    assert "| huge | " in capsys.readouterr().out
+
+
+def test_unknown_scenes_are_refused_all_at_once(tmp_path, capsys):
+    assert main(["chart", "--out", str(tmp_path / "out"), "huge", "no", "nor"]) == 2
+    said = capsys.readouterr().err
+    assert "scene 'no'" in said and "scene 'nor'" in said and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", chart.SCENES)
+def test_every_scene_is_followed_by_exact_to_1e_10(name):
+    scene = chart.SCENES[name](4)
+    material = Material(**scene.definition)
+    exact = rates.reference(material, rates.unknowns(material, scene.states), rates.components_first(scene.gradients))
+    path, refused = chart.run_core(material, scene.states, scene.gradients, 1, np.zeros(scene.gradients.shape[:2], STATE))
+    assert refused == "" and max(chart.errors(chart.as_results(path), exact, material["kappa"])) < 1e-10
