@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import reference
-from granumat import STATE, Material, MaterialError, _core, tensors
+from granumat import STATE, Material, MaterialError, _core, driver, tensors
 from granumat.material import CLOSURES, CONTACTS, METHODS, SPINS
 from granumat.paths import read_path_file
 from test_bad_input import check, spoiled
@@ -192,3 +192,14 @@ def test_a_path_file_names_its_method(tmp_path):
     material = read_path_file(tmp_path / "path.toml").material
     assert (material.method, material.spin) == ("rk4", "before")
     assert material.steady(0.6).tobytes() == Material().steady(0.6).tobytes()
+
+
+@pytest.mark.parametrize("spin", SPINS)
+@pytest.mark.parametrize("method", METHODS)
+def test_every_method_follows_a_path_with_stresses_held(method, spin):
+    step = driver.shear(-0.5, "pressure", increments=50)
+    material, exact = Material(method=method, spin=spin, elastic_strain=0.01), Material(elastic_strain=0.01)
+    found, expected = (driver.run(each, each.steady(0.6), [step]) for each in (material, exact))
+    np.testing.assert_allclose(found["p"], found["p"][0], rtol=1e-8)
+    np.testing.assert_allclose(found["phi"], expected["phi"], atol=3e-5)
+    np.testing.assert_allclose(found["stress_ratio"], expected["stress_ratio"], atol=3e-3)
