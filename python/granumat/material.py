@@ -250,13 +250,18 @@ class Material:
         refuse("the isotropic state cannot be made", faults)
         return self.state(volume_fraction, coordination_number)
 
+    @property
+    def steady_strain(self):
+        """Shear strain after which what is left of the start is below round-off."""
+        return 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
+
     def steady(self, volume_fraction):
         """Steady simple shear at constant volume, du_x/dz > 0: the fixed point of (4.7) with its spin, and of (4.8).
 
         Found by the exact update, whatever the material's method.
         """
         gradient = np.zeros((3, 3))
-        gradient[0, 2] = 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
+        gradient[0, 2] = self.steady_strain
         exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
         return exact.update(exact.state(volume_fraction, self["Zc"]), gradient)
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from . import driver, tensors
-from .material import STATE, STEADY_STRAIN, Material
+from .material import STATE, Material
 
 SEED = 2011
 HISTORIES = 64              # of shear at constant pressure; more points repeat them
@@ -48,7 +48,7 @@ def _isotropic(material, phi, z2):
 
 def _steady(material, phi):
     """Steady simple shear, du_x/dz > 0."""
-    return material.update(_isotropic(material, phi, material["Zc"]), _shear([STEADY_STRAIN], np.ones(len(phi)))[0])
+    return material.update(_isotropic(material, phi, material["Zc"]), _shear([material.steady_strain], np.ones(len(phi)))[0])
 
 
 def _reversed_shear(title, points, strains, phi=(0.59, 0.62), **definition):
