@@ -14,7 +14,7 @@ module granumat_ellipticity
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
-  use granumat_stress, only: evaluate, friction, pressure_change, stress_deviator_change
+  use granumat_stress, only: evaluate, friction, pressure_change, change_stress_deviator, stress_deviator
   use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, times, trace
   implicit none (type, external)
   private
@@ -89,7 +89,8 @@ contains
     type(lane_state), intent(in) :: model            ! with the model's stress
     real(dp), intent(in) :: dev(LANES, 6)            ! the state's deviatoric stress
     real(dp), intent(in) :: E(LANES, 6)
-    real(dp) :: d_stress(LANES, 6), d_direction(LANES, 6), d_A(LANES, 6), p(LANES), d_p(LANES), d_mod(LANES), none(LANES)
+    real(dp) :: d_stress(LANES, 6), d_direction(LANES, 6), d_A(LANES, 6), S_hat(LANES, 6)
+    real(dp), dimension(LANES) :: p, d_p, d_mod, none
 
     p = -trace(model%stress) / 3
     none = 0
@@ -99,7 +100,9 @@ contains
     if (par%closure == CRITICAL) d_A = par%lambda * deviator(d_direction)
     d_p = pressure_change(par, model%fabric, model%direction, model%coordination_number - par%Zc, 0 * d_A, trace(d_direction), &
       none) / max(p, tiny(p))
-    d_stress = stress_deviator_change(par, model%fabric, deviator(model%direction), none + 1, d_A, deviator(d_direction), d_p)
+    S_hat = deviator(model%direction)
+    call change_stress_deviator(par, model%fabric, S_hat, none + 1, stress_deviator(par, model%fabric, S_hat, none + 1), &
+      d_A, deviator(d_direction), d_p, d_stress)
     if (par%elastic_strain > 0) then
       d_stress = (d_stress + times(d_mod / max(p, tiny(p)), deviator(model%stress) - dev)) / par%elastic_strain
       d_p = pressure_rate_change(par, model, d_mod, E) / max(p, tiny(p))

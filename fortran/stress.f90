@@ -7,7 +7,7 @@ module granumat_stress
   use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_symmetric, times, trace
   implicit none (type, external)
   private
-  public :: evaluate, pressure_modulus, pressure, pressure_change, friction, stress_deviator, stress_deviator_change
+  public :: evaluate, pressure_modulus, pressure, pressure_change, friction, stress_deviator, change_stress_deviator
 
 contains
 
@@ -70,20 +70,53 @@ contains
     if (par%contact == HERTZIAN) d_p = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z * d_p
   end function pressure_change
 
-  !> Change of the stress deviator with changes of A, S^ and p.
-  pure function stress_deviator_change(par, A, S_hat, p, d_A, d_S_hat, d_p) result(d_dev)
+  !> Change of the stress deviator with changes of A, S^ and p; unit is the deviator at p = 1.
+  pure subroutine change_stress_deviator(par, A, S, p, unit, d_A, d_S, d_p, d_dev)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6), S_hat(LANES, 6), p(LANES), d_A(LANES, 6), d_S_hat(LANES, 6), d_p(LANES)
-    real(dp) :: d_dev(LANES, 6), x(LANES), d_x(LANES), d_eta(LANES)
+    real(dp), intent(in), dimension(LANES, 6) :: A, S, unit, d_A, d_S       ! S, d_S: of S^
+    real(dp), intent(in), dimension(LANES) :: p, d_p
+    real(dp), intent(out) :: d_dev(LANES, 6)
+    real(dp) :: x, d_x, along, across, isotropic, slope(3)
+    integer :: i
 
-    x = contract(A, S_hat)
-    d_x = contract(d_A, S_hat) + contract(A, d_S_hat)
-    d_eta = 0
-    if (par%closure /= CRITICAL) d_eta = d_x * (par%b2 + 2 * x * par%b3)
-    d_dev = times(-d_eta - par%a4 * d_x / 2, S_hat) + times(-friction(par, A, S_hat) - par%a4 * x / 2, d_S_hat) + par%a4 * d_A
-    d_dev = d_dev + par%a3 * add_identity(product_symmetric(d_A, S_hat) + product_symmetric(A, d_S_hat), -2 * d_x / 3)
-    d_dev = times(-p, d_dev) + stress_deviator(par, A, S_hat, d_p)
-  end function stress_deviator_change
+    slope = [par%b1, par%b2, par%b3]
+    if (par%closure == CRITICAL) slope = [par%b1 + par%chi * (par%b2 + par%chi * par%b3), 0.0_dp, 0.0_dp]
+    do i = 1, LANES                            ! one fused loop, dA S^ + S^ dA + A dS^ + dS^ A written out: hot in the tangent
+      x = A(i, 1) * S(i, 1) + A(i, 2) * S(i, 2) + A(i, 3) * S(i, 3) &
+        + 2 * (A(i, 4) * S(i, 4) + A(i, 5) * S(i, 5) + A(i, 6) * S(i, 6))
+      d_x = d_A(i, 1) * S(i, 1) + d_A(i, 2) * S(i, 2) + d_A(i, 3) * S(i, 3) &
+        + A(i, 1) * d_S(i, 1) + A(i, 2) * d_S(i, 2) + A(i, 3) * d_S(i, 3) &
+        + 2 * (d_A(i, 4) * S(i, 4) + d_A(i, 5) * S(i, 5) + d_A(i, 6) * S(i, 6) &
+          + A(i, 4) * d_S(i, 4) + A(i, 5) * d_S(i, 5) + A(i, 6) * d_S(i, 6))
+      along = -d_x * (slope(2) + 2 * x * slope(3) + par%a4 / 2)
+      across = -(slope(1) + x * (slope(2) + x * slope(3)) + par%a4 * x / 2)
+      isotropic = -2 * d_x / 3
+      d_dev(i, 1) = d_p(i) * unit(i, 1) - p(i) * (along * S(i, 1) + across * d_S(i, 1) + par%a4 * d_A(i, 1) + par%a3 * (isotropic &
+        + 2 * (d_A(i, 1) * S(i, 1) + d_A(i, 4) * S(i, 4) + d_A(i, 5) * S(i, 5) &
+        + A(i, 1) * d_S(i, 1) + A(i, 4) * d_S(i, 4) + A(i, 5) * d_S(i, 5))))
+      d_dev(i, 2) = d_p(i) * unit(i, 2) - p(i) * (along * S(i, 2) + across * d_S(i, 2) + par%a4 * d_A(i, 2) + par%a3 * (isotropic &
+        + 2 * (d_A(i, 4) * S(i, 4) + d_A(i, 2) * S(i, 2) + d_A(i, 6) * S(i, 6) &
+        + A(i, 4) * d_S(i, 4) + A(i, 2) * d_S(i, 2) + A(i, 6) * d_S(i, 6))))
+      d_dev(i, 3) = d_p(i) * unit(i, 3) - p(i) * (along * S(i, 3) + across * d_S(i, 3) + par%a4 * d_A(i, 3) + par%a3 * (isotropic &
+        + 2 * (d_A(i, 5) * S(i, 5) + d_A(i, 6) * S(i, 6) + d_A(i, 3) * S(i, 3) &
+        + A(i, 5) * d_S(i, 5) + A(i, 6) * d_S(i, 6) + A(i, 3) * d_S(i, 3))))
+      d_dev(i, 4) = d_p(i) * unit(i, 4) - p(i) * (along * S(i, 4) + across * d_S(i, 4) + par%a4 * d_A(i, 4) + par%a3 &
+        * (d_A(i, 1) * S(i, 4) + d_A(i, 4) * (S(i, 1) + S(i, 2)) + d_A(i, 5) * S(i, 6) &
+        + S(i, 4) * d_A(i, 2) + S(i, 5) * d_A(i, 6) &
+        + A(i, 1) * d_S(i, 4) + A(i, 4) * (d_S(i, 1) + d_S(i, 2)) + A(i, 5) * d_S(i, 6) &
+        + d_S(i, 4) * A(i, 2) + d_S(i, 5) * A(i, 6)))
+      d_dev(i, 5) = d_p(i) * unit(i, 5) - p(i) * (along * S(i, 5) + across * d_S(i, 5) + par%a4 * d_A(i, 5) + par%a3 &
+        * (d_A(i, 1) * S(i, 5) + d_A(i, 4) * S(i, 6) + d_A(i, 5) * (S(i, 1) + S(i, 3)) &
+        + S(i, 4) * d_A(i, 6) + S(i, 5) * d_A(i, 3) &
+        + A(i, 1) * d_S(i, 5) + A(i, 4) * d_S(i, 6) + A(i, 5) * (d_S(i, 1) + d_S(i, 3)) &
+        + d_S(i, 4) * A(i, 6) + d_S(i, 5) * A(i, 3)))
+      d_dev(i, 6) = d_p(i) * unit(i, 6) - p(i) * (along * S(i, 6) + across * d_S(i, 6) + par%a4 * d_A(i, 6) + par%a3 &
+        * (d_A(i, 4) * S(i, 5) + d_A(i, 2) * S(i, 6) + d_A(i, 6) * (S(i, 2) + S(i, 3)) &
+        + S(i, 4) * d_A(i, 5) + S(i, 6) * d_A(i, 3) &
+        + A(i, 4) * d_S(i, 5) + A(i, 2) * d_S(i, 6) + A(i, 6) * (d_S(i, 2) + d_S(i, 3)) &
+        + d_S(i, 4) * A(i, 5) + d_S(i, 6) * A(i, 3)))
+    end do
+  end subroutine change_stress_deviator
 
   !> The model stress of states' microstructure in their direction, and eta; what the critical closure implies is set.
   pure subroutine evaluate(par, x, eta)

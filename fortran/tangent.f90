@@ -7,7 +7,7 @@ module granumat_tangent
   use granumat_increment, only: increment, inner_solution, internal
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
-  use granumat_stress, only: pressure, pressure_change, pressure_modulus, stress_deviator, stress_deviator_change
+  use granumat_stress, only: pressure, pressure_change, pressure_modulus, stress_deviator, change_stress_deviator
   use granumat_tensors, only: LANES, add_identity, contract, corotate, deviator, modulus, rotate, rotation, rotation_change, &
     times, trace
   implicit none (type, external)
@@ -177,9 +177,11 @@ contains
     type(variation), intent(inout) :: change
     real(dp) :: ratio(LANES), d_ratio(LANES), u(LANES, N_NODES + 1), w(LANES, 3), R(LANES, 3, 3)
     real(dp), dimension(LANES, N_NODES + 1) :: weights, slopes
-    real(dp), dimension(LANES, 6) :: turned, d_dev
-    real(dp) :: p(LANES), d_p(LANES)
+    real(dp), dimension(LANES, 6) :: turned, d_dev, unit, d_model
+    real(dp), dimension(LANES) :: p, d_p, one
     integer :: i
+
+    one = 1
 
     ratio = step%mod_D / par%elastic_strain
     d_ratio = step%share * change%mod_D / par%elastic_strain
@@ -197,11 +199,12 @@ contains
       p = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
       d_p = pressure_change(par, step%A(:, :, i), inc%direction, step%excess(:, i), d_A(:, :, i), change%trace_direction, &
         d_excess(:, i))
-      turned = rotate(R, stress_deviator(par, step%A(:, :, i), inc%S_hat, p))
+      unit = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
+      call change_stress_deviator(par, step%A(:, :, i), inc%S_hat, p, unit, d_A(:, :, i), change%S_hat, d_p, d_model)
+      turned = rotate(R, times(p, unit))
       d_dev = d_dev + times(slopes(:, i) * d_ratio, turned) &
         + times(weights(:, i), corotate(rotation_change(w, spread(u(:, i) * step%share, 2, 3) * change%w), turned)) &
-        + times(weights(:, i), rotate(R, &
-          stress_deviator_change(par, step%A(:, :, i), inc%S_hat, p, d_A(:, :, i), change%S_hat, d_p)))
+        + times(weights(:, i), rotate(R, d_model))
     end do
     change%dev = d_dev
   end subroutine vary_relaxation
@@ -213,15 +216,16 @@ contains
     type(internal), intent(in) :: x
     type(variation), intent(in) :: change(:)
     real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, size(change))
-    real(dp) :: p(LANES), d_p(LANES), d_dev(LANES, 6)
+    real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6)
     integer :: j
 
+    unit = stress_deviator(par, x%A, inc%S_hat, spread(1.0_dp, 1, LANES))
     p = pressure(par, pressure_modulus(par, x%A, inc%direction), x%excess)
     do j = 1, size(change)
       associate (c => change(j))
         d_p = pressure_change(par, x%A, inc%direction, x%excess, c%A, c%trace_direction, c%excess)
         d_dev = c%dev
-        if (.not. par%elastic_strain > 0) d_dev = stress_deviator_change(par, x%A, inc%S_hat, p, c%A, c%S_hat, d_p)
+        if (.not. par%elastic_strain > 0) call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
         tangent(:, :, j) = add_identity(d_dev, -d_p)
       end associate
     end do
