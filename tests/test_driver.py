@@ -135,6 +135,14 @@ def test_gamma_of_a_gradient_step_is_twice_mod_d(material):
     assert history["gamma_total"][-1] == pytest.approx(0.6)
 
 
+@pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
+def test_strain_that_was_found_is_counted_and_matches_the_volume(material):
+    step = driver.isotropic_compression(pressure=0.02, increments=7)
+    history = driver.run(material, material.isotropic(0.60, pressure=0.01), [step], tolerance=1e-7)
+    compression = np.log(history["phi"] / 0.60)                       # D = -compression/3 I: abs(D) = compression/sqrt(6)
+    np.testing.assert_allclose(history["gamma_total"], 2 / np.sqrt(6) * compression, rtol=1e-9, atol=1e-15)
+
+
 def test_cycles_reverse_and_accumulate(material):
     history = driver.run(material, material.steady(0.60), driver.cycles(0.5, 4, "pressure"))
     assert history["gamma_total"][-1] == pytest.approx(4.0) and history["gamma"][-1] == pytest.approx(0.0, abs=1e-13)
