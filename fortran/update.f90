@@ -7,7 +7,7 @@ module granumat_update
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
   use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
-  use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT, INSIDE
+  use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
   use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric, y_at
   use granumat_coordination, only: N_NODES, exponential, integrate_coordination, nodes

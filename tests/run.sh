@@ -1,5 +1,5 @@
 #!/bin/sh
-# Tests the debug build without the slow tests, then the release build with all; arguments go to the last pytest.
+# Tests the debug build, then the release build; arguments go to the last pytest.
 set -eu
 cd "$(dirname "$0")/.."
 ./build.sh release debug
@@ -7,6 +7,6 @@ cd "$(dirname "$0")/.."
 export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
 pytest="/usr/bin/python3 -m pytest -p no:cacheprovider"
 status=0
-PYTHONPATH=$PWD/build/debug/python $pytest -m "not slow" || status=$?
+PYTHONPATH=$PWD/build/debug/python $pytest || status=$?
 PYTHONPATH=$PWD/build/release/python $pytest "$@" || status=$?
 exit $status
