@@ -12,16 +12,17 @@ module granumat_coordination
 
   integer, parameter, public :: N_NODES = 4
 
-  ! Gauss-Legendre points and weights on [0, 1]; INTEGRAL(j, i): the j-th Lagrange polynomial integrated up to point i.
+  ! Gauss-Legendre points on [0, 1]; INTEGRAL(j, i): the j-th Lagrange polynomial integrated up to point i, the last up to 1.
   real(dp), parameter :: POINT(N_NODES) = [ &
     0.0694318442029737124_dp, 0.330009478207571868_dp, 0.669990521792428132_dp, 0.930568155797026288_dp]
-  real(dp), parameter, public :: WEIGHT(N_NODES) = [ &
-    0.173927422568726929_dp, 0.326072577431273071_dp, 0.326072577431273071_dp, 0.173927422568726929_dp]
-  real(dp), parameter, public :: INTEGRAL(N_NODES, N_NODES) = transpose(reshape([ &
-    0.0869637112843634643_dp, 0.188118117499868072_dp, 0.167191921974188773_dp, 0.177482572254522612_dp, &
+  real(dp), parameter, public :: INTEGRAL(N_NODES, N_NODES + 1) = transpose(reshape([ &
+    0.0869637112843634643_dp, 0.188118117499868072_dp, 0.167191921974188773_dp, 0.177482572254522612_dp, 0.173927422568726929_dp, &
     -0.0266041800849987933_dp, 0.163036288715636536_dp, 0.353953006033743967_dp, 0.313445114741868347_dp, &
+    0.326072577431273071_dp, &
     0.0126274626894047245_dp, -0.0278804286024708952_dp, 0.163036288715636536_dp, 0.352676757516271865_dp, &
-    -0.00355514968579568316_dp, 0.00673550059453815552_dp, -0.014190694931141143_dp, 0.0869637112843634643_dp], [N_NODES, N_NODES]))
+    0.326072577431273071_dp, &
+    -0.00355514968579568316_dp, 0.00673550059453815552_dp, -0.014190694931141143_dp, 0.0869637112843634643_dp, &
+    0.173927422568726929_dp], [N_NODES + 1, N_NODES]))
 
   integer :: j
   real(dp), parameter :: INVERSE_FACTORIAL(0:11) = [(1 / gamma(real(j + 1, dp)), j = 0, 11)]
@@ -100,7 +101,7 @@ contains
       growth(:, i) = exponential(decay * t(:, i))
       integrand(:, i) = growth(:, i) * dt(:, i) &
         * (par%d1 * A_S(:, i) + decay * excess_coordination(par, phi(:, i) - par%phic) + constant)    ! (4.8)
-      excess_end = excess_end + WEIGHT(i) * integrand(:, i)
+      excess_end = excess_end + INTEGRAL(i, N_NODES + 1) * integrand(:, i)
     end do
     excess_nodes(:, N_NODES + 1) = excess_end * exponential(-decay)
     if (.not. at_nodes) return

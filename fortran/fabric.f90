@@ -8,18 +8,26 @@ module granumat_fabric
   use granumat_tensors, only: LANES, corotate, times
   implicit none (type, external)
   private
-  public :: solve_fabric, vary_fabric, fabric_at, fabric_rate, projections_at, series_at, slopes_at, y_at
+  public :: solve_fabric, vary_fabric, fabric_rate, fabric_at, projections_at, sum_series
 
-  integer, parameter :: MAX_TERMS = 20
+  integer, parameter, public :: MAX_TERMS = 20
   real(dp), parameter :: SERIES_REST = 1.0e-17_dp   ! first neglected term over the solution: below round-off
-  real(dp), parameter :: TANGENT_REST = 1.0e-11_dp  ! the same for its changes
 
-  !> Taylor coefficients of B and y in t, 0 <= t <= 1 over the increment.
+  !> The matrix of the linear equation over an increment.
+  type :: fabric_matrix
+    real(dp) :: source(LANES, 6)               ! c1 S
+    real(dp) :: sink(LANES, 6)                 ! -c3 S, the shear components twice
+    real(dp) :: decay(LANES)                   ! c2 |D|
+    real(dp) :: spin(LANES, 3), twice_spin(LANES, 3)
+  end type fabric_matrix
+
+  !> The derivatives of B and y at t = 0, 0 <= t <= 1 over the increment.
   type, public :: fabric_solution
     integer :: terms
-    real(dp) :: c3
+    type(fabric_matrix) :: matrix
     real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
-    real(dp) :: rest(LANES, MAX_TERMS)         ! bound of each term over the solution
+    real(dp) :: bound(LANES, 0:MAX_TERMS)      ! of the terms of their series over the solution, at t = 1
+    real(dp) :: weight(LANES, 0:MAX_TERMS)     ! 1/k!, 0 from where a lane needs no more
   end type fabric_solution
 
 contains
@@ -40,164 +48,165 @@ contains
     real(dp), intent(in) :: mod_D(LANES)     ! |D| of the strain increment
     real(dp), intent(in) :: w(LANES, 3)      ! spin increment
     type(fabric_solution), intent(out) :: solution
-    real(dp), dimension(LANES) :: rate, rest
-    real(dp) :: inverse, factor, decay, source, w1, w2, w3, B1, B2, B3, B4, B5, B6
-    integer :: i, k
+    real(dp) :: rate(LANES), inverse_factorial
+    integer :: k
 
     rate = fabric_rate(par, mod_D, w)
-    solution%c3 = par%c3
+    solution%matrix%source = par%c1 * S
+    solution%matrix%sink(:, :3) = -par%c3 * S(:, :3)
+    solution%matrix%sink(:, 4:) = -2 * par%c3 * S(:, 4:)
+    solution%matrix%decay = par%c2 * mod_D
+    solution%matrix%spin = w
+    solution%matrix%twice_spin = 2 * w
     solution%B(:, :, 0) = A
     solution%y(:, 0) = 1
-    rest = 1
+    solution%bound(:, 0) = 1
+    solution%weight(:, 0) = 1
+    inverse_factorial = 1
     do k = 1, MAX_TERMS
-      inverse = 1.0_dp / k
-      do i = 1, LANES                          ! one fused loop, W B - B W written out: the hottest of all
-        factor = merge(inverse, 0.0_dp, rest(i) >= SERIES_REST)     ! a lane's number of terms is its own
-        solution%rest(i, k) = rest(i)
-        source = factor * par%c1 * solution%y(i, k - 1)
-        decay = factor * par%c2 * mod_D(i)
-        w1 = factor * w(i, 1)
-        w2 = factor * w(i, 2)
-        w3 = factor * w(i, 3)
-        B1 = solution%B(i, 1, k - 1)
-        B2 = solution%B(i, 2, k - 1)
-        B3 = solution%B(i, 3, k - 1)
-        B4 = solution%B(i, 4, k - 1)
-        B5 = solution%B(i, 5, k - 1)
-        B6 = solution%B(i, 6, k - 1)
-        solution%B(i, 1, k) = source * S(i, 1) + decay * B1 + 2 * (w1 * B4 + w2 * B5)
-        solution%B(i, 2, k) = source * S(i, 2) + decay * B2 + 2 * (w3 * B6 - w1 * B4)
-        solution%B(i, 3, k) = source * S(i, 3) + decay * B3 - 2 * (w2 * B5 + w3 * B6)
-        solution%B(i, 4, k) = source * S(i, 4) + decay * B4 + (w1 * (B2 - B1) + w2 * B6 + w3 * B5)
-        solution%B(i, 5, k) = source * S(i, 5) + decay * B5 + (w2 * (B3 - B1) + w1 * B6 - w3 * B4)
-        solution%B(i, 6, k) = source * S(i, 6) + decay * B6 + (w3 * (B3 - B2) - w1 * B5 - w2 * B4)
-        solution%y(i, k) = -factor * par%c3 * (S(i, 1) * B1 + S(i, 2) * B2 + S(i, 3) * B3 &
-          + 2 * (S(i, 4) * B4 + S(i, 5) * B5 + S(i, 6) * B6))
-        rest(i) = rest(i) * rate(i) * inverse
-      end do
+      call differentiate(solution%matrix, solution%B(:, :, k - 1), solution%y(:, k - 1), solution%B(:, :, k), solution%y(:, k))
+      inverse_factorial = inverse_factorial / k
+      solution%weight(:, k) = merge(inverse_factorial, 0.0_dp, solution%bound(:, k - 1) >= SERIES_REST)
+      solution%bound(:, k) = solution%bound(:, k - 1) * (rate / k)
       solution%terms = k
-      if (all(rest < SERIES_REST)) exit
+      if (all(solution%bound(:, k) < SERIES_REST)) exit
     end do
   end subroutine solve_fabric
 
-  !> A at t.
-  pure function fabric_at(solution, t) result(A)
-    type(fabric_solution), intent(in) :: solution
-    real(dp), intent(in) :: t(LANES)
-    real(dp) :: A(LANES, 6)
-    A = times(1 / y_at(solution, t), series_at(solution, t))
-  end function fabric_at
+  !> The derivative of (B, y), in one fused loop: the hottest of all.
+  pure subroutine differentiate(matrix, B, y, dot_B, dot_y)
+    type(fabric_matrix), intent(in) :: matrix
+    real(dp), intent(in) :: B(LANES, 6), y(LANES)
+    real(dp), intent(out) :: dot_B(LANES, 6), dot_y(LANES)
+    real(dp) :: decay, w1, w2, w3, B1, B2, B3, B4, B5, B6
+    integer :: i
 
-  !> B at t.
-  pure function series_at(solution, t) result(B)
-    type(fabric_solution), intent(in) :: solution
-    real(dp), intent(in) :: t(LANES)
-    real(dp) :: B(LANES, 6)
-    integer :: k
-
-    B = solution%B(:, :, solution%terms)
-    do k = solution%terms - 1, 0, -1
-      B = times(t, B) + solution%B(:, :, k)
+    do i = 1, LANES
+      decay = matrix%decay(i)
+      w1 = matrix%spin(i, 1)
+      w2 = matrix%spin(i, 2)
+      w3 = matrix%spin(i, 3)
+      B1 = B(i, 1)
+      B2 = B(i, 2)
+      B3 = B(i, 3)
+      B4 = B(i, 4)
+      B5 = B(i, 5)
+      B6 = B(i, 6)
+      dot_y(i) = matrix%sink(i, 1) * B1 + matrix%sink(i, 2) * B2 + matrix%sink(i, 3) * B3 &
+        + matrix%sink(i, 4) * B4 + matrix%sink(i, 5) * B5 + matrix%sink(i, 6) * B6
+      dot_B(i, 1) = matrix%source(i, 1) * y(i) + decay * B1 + matrix%twice_spin(i, 1) * B4 + matrix%twice_spin(i, 2) * B5
+      dot_B(i, 2) = matrix%source(i, 2) * y(i) + decay * B2 + matrix%twice_spin(i, 3) * B6 - matrix%twice_spin(i, 1) * B4
+      dot_B(i, 3) = matrix%source(i, 3) * y(i) + decay * B3 - matrix%twice_spin(i, 2) * B5 - matrix%twice_spin(i, 3) * B6
+      dot_B(i, 4) = matrix%source(i, 4) * y(i) + decay * B4 + w1 * (B2 - B1) + w2 * B6 + w3 * B5
+      dot_B(i, 5) = matrix%source(i, 5) * y(i) + decay * B5 + w2 * (B3 - B1) + w1 * B6 - w3 * B4
+      dot_B(i, 6) = matrix%source(i, 6) * y(i) + decay * B6 + w3 * (B3 - B2) - w1 * B5 - w2 * B4
     end do
-  end function series_at
+  end subroutine differentiate
 
-  !> y at t: positive as long as the fabric has not blown up.
-  pure function y_at(solution, t) result(y)
-    type(fabric_solution), intent(in) :: solution
-    real(dp), intent(in) :: t(LANES)
-    real(dp) :: y(LANES)
-    integer :: k
-
-    y = solution%y(:, solution%terms)
-    do k = solution%terms - 1, 0, -1
-      y = y * t + solution%y(:, k)
-    end do
-  end function y_at
-
-  !> y and y' at n places t.
-  pure subroutine slopes_at(solution, n, t, y, dot_y)
+  !> y (positive as long as the fabric has not blown up) and A:S = -y'/(c3 y) at n places t.
+  pure subroutine projections_at(par, solution, n, t, y, A_S)
+    type(material_parameters), intent(in) :: par
     type(fabric_solution), intent(in) :: solution
     integer, intent(in) :: n
     real(dp), intent(in) :: t(LANES, n)
-    real(dp), intent(out) :: y(LANES, n), dot_y(LANES, n)
+    real(dp), intent(out) :: y(LANES, n), A_S(LANES, n)
+    real(dp) :: term
     integer :: i, j, k
 
-    y = spread(solution%y(:, solution%terms), 2, n)
-    dot_y = 0
-    do k = solution%terms - 1, 0, -1
+    y = 0
+    A_S = 0
+    do k = solution%terms, 0, -1
       do j = 1, n
         do i = 1, LANES
-          dot_y(i, j) = dot_y(i, j) * t(i, j) + y(i, j)
-          y(i, j) = y(i, j) * t(i, j) + solution%y(i, k)
+          term = solution%weight(i, k) * solution%y(i, k)
+          A_S(i, j) = A_S(i, j) * t(i, j) + y(i, j)                          ! y'
+          y(i, j) = y(i, j) * t(i, j) + term
         end do
       end do
     end do
-  end subroutine slopes_at
-
-  !> A:S = -y'/(c3 y) at n places t.
-  pure subroutine projections_at(solution, n, t, A_S)
-    type(fabric_solution), intent(in) :: solution
-    integer, intent(in) :: n
-    real(dp), intent(in) :: t(LANES, n)
-    real(dp), intent(out) :: A_S(LANES, n)
-    real(dp) :: y(LANES, n), dot_y(LANES, n)
-    call slopes_at(solution, n, t, y, dot_y)
-    A_S = -dot_y / (solution%c3 * y)
+    A_S = -A_S / (par%c3 * y)
   end subroutine projections_at
 
-  !> The change of a solution with changes of the initial fabric and of the increment.
-  pure subroutine vary_fabric(par, solution, S, mod_D, w, d_A, d_S, d_mod_D, d_w, d_solution)
+  !> A and y at t.
+  pure subroutine fabric_at(solution, t, A, y)
+    type(fabric_solution), intent(in) :: solution
+    real(dp), intent(in) :: t(LANES)
+    real(dp), intent(out) :: A(LANES, 6), y(LANES)
+    real(dp) :: weight(LANES, 0:MAX_TERMS), power(LANES)
+    integer :: k
+
+    power = 1
+    do k = 0, solution%terms
+      weight(:, k) = solution%weight(:, k) * power
+      power = power * t
+    end do
+    call sum_series(solution%terms, weight, solution%B, solution%y, A, y)
+    A = times(1 / y, A)
+  end subroutine fabric_at
+
+  !> Weighted sums of the terms of B and y.
+  pure subroutine sum_series(terms, weight, B, y, B_sum, y_sum)
+    integer, intent(in) :: terms
+    real(dp), intent(in), dimension(LANES, 0:MAX_TERMS) :: weight, y
+    real(dp), intent(in) :: B(LANES, 6, 0:MAX_TERMS)
+    real(dp), intent(out) :: B_sum(LANES, 6), y_sum(LANES)
+    real(dp) :: total(7)
+    integer :: i, j, k
+
+    do i = 1, LANES                            ! vectorised with the sums in registers, as the inner loop surely runs
+      total = 0
+      k = 0
+      do
+        do j = 1, 6
+          total(j) = total(j) + weight(i, k) * B(i, j, k)
+        end do
+        total(7) = total(7) + weight(i, k) * y(i, k)
+        k = k + 1
+        if (k > terms) exit
+      end do
+      B_sum(i, :) = total(:6)
+      y_sum(i) = total(7)
+    end do
+  end subroutine sum_series
+
+  !> The change of a solution, up to a number of terms, with changes of the initial fabric and, times share, of the increment.
+  pure subroutine vary_fabric(par, solution, terms, share, d_A, d_S, d_mod_D, d_w, d_B, d_y)
     type(material_parameters), intent(in) :: par
     type(fabric_solution), intent(in) :: solution
-    real(dp), intent(in) :: S(LANES, 6), mod_D(LANES), w(LANES, 3)
-    real(dp), intent(in) :: d_A(LANES, 6), d_S(LANES, 6), d_mod_D(LANES), d_w(LANES, 3)
-    type(fabric_solution), intent(out) :: d_solution
-    real(dp) :: inverse, factor, decay, d_decay, source, d_source, w1, w2, w3, B1, B2, B3, B4, B5, B6
-    integer :: i, k
-    logical :: spins
+    integer, intent(in) :: terms
+    real(dp), intent(in) :: share(LANES), d_A(LANES, 6)
+    real(dp), intent(in) :: d_S(6), d_mod_D, d_w(3)        ! the same in all lanes
+    real(dp), intent(out) :: d_B(LANES, 6, 0:MAX_TERMS), d_y(LANES, 0:MAX_TERMS)
+    real(dp) :: d_source(LANES, 6), d_sink(LANES, 6), d_decay(LANES), d_spin(LANES, 3)
+    integer :: changed(6), n, i, j, k
 
-    spins = any(abs(d_w) > 0)
-    d_solution%c3 = par%c3
-    d_solution%B(:, :, 0) = d_A
-    d_solution%y(:, 0) = 0
-    do k = 1, solution%terms
-      inverse = 1.0_dp / k
-      do i = 1, LANES                          ! as in solve_fabric
-        factor = merge(inverse, 0.0_dp, solution%rest(i, k) >= TANGENT_REST)
-        source = factor * par%c1 * solution%y(i, k - 1)
-        d_source = factor * par%c1 * d_solution%y(i, k - 1)
-        decay = factor * par%c2 * mod_D(i)
-        d_decay = factor * par%c2 * d_mod_D(i)
-        w1 = factor * w(i, 1)
-        w2 = factor * w(i, 2)
-        w3 = factor * w(i, 3)
-        B1 = d_solution%B(i, 1, k - 1)
-        B2 = d_solution%B(i, 2, k - 1)
-        B3 = d_solution%B(i, 3, k - 1)
-        B4 = d_solution%B(i, 4, k - 1)
-        B5 = d_solution%B(i, 5, k - 1)
-        B6 = d_solution%B(i, 6, k - 1)
-        d_solution%y(i, k) = -factor * par%c3 * (S(i, 1) * B1 + S(i, 2) * B2 + S(i, 3) * B3 &
-          + 2 * (S(i, 4) * B4 + S(i, 5) * B5 + S(i, 6) * B6) &
-          + d_S(i, 1) * solution%B(i, 1, k - 1) + d_S(i, 2) * solution%B(i, 2, k - 1) + d_S(i, 3) * solution%B(i, 3, k - 1) &
-          + 2 * (d_S(i, 4) * solution%B(i, 4, k - 1) + d_S(i, 5) * solution%B(i, 5, k - 1) + d_S(i, 6) * solution%B(i, 6, k - 1)))
-        d_solution%B(i, 1, k) = source * d_S(i, 1) + d_source * S(i, 1) + decay * B1 + d_decay * solution%B(i, 1, k - 1) &
-          + 2 * (w1 * B4 + w2 * B5)
-        d_solution%B(i, 2, k) = source * d_S(i, 2) + d_source * S(i, 2) + decay * B2 + d_decay * solution%B(i, 2, k - 1) &
-          + 2 * (w3 * B6 - w1 * B4)
-        d_solution%B(i, 3, k) = source * d_S(i, 3) + d_source * S(i, 3) + decay * B3 + d_decay * solution%B(i, 3, k - 1) &
-          - 2 * (w2 * B5 + w3 * B6)
-        d_solution%B(i, 4, k) = source * d_S(i, 4) + d_source * S(i, 4) + decay * B4 + d_decay * solution%B(i, 4, k - 1) &
-          + (w1 * (B2 - B1) + w2 * B6 + w3 * B5)
-        d_solution%B(i, 5, k) = source * d_S(i, 5) + d_source * S(i, 5) + decay * B5 + d_decay * solution%B(i, 5, k - 1) &
-          + (w2 * (B3 - B1) + w1 * B6 - w3 * B4)
-        d_solution%B(i, 6, k) = source * d_S(i, 6) + d_source * S(i, 6) + decay * B6 + d_decay * solution%B(i, 6, k - 1) &
-          + (w3 * (B3 - B2) - w1 * B5 - w2 * B4)
+    n = 0
+    do j = 1, 6
+      if (.not. abs(d_S(j)) > 0) cycle
+      n = n + 1
+      changed(n) = j
+      d_source(:, n) = par%c1 * d_S(j) * share
+      d_sink(:, n) = -par%c3 * merge(1, 2, j <= 3) * d_S(j) * share
+    end do
+    d_decay = par%c2 * d_mod_D * share
+    do j = 1, 3
+      d_spin(:, j) = d_w(j) * share
+    end do
+    d_B(:, :, 0) = d_A
+    d_y(:, 0) = 0
+    do k = 1, terms
+      call differentiate(solution%matrix, d_B(:, :, k - 1), d_y(:, k - 1), d_B(:, :, k), d_y(:, k))
+      do i = 1, n
+        j = changed(i)
+        d_B(:, j, k) = d_B(:, j, k) + d_source(:, i) * solution%y(:, k - 1)
+        d_y(:, k) = d_y(:, k) + d_sink(:, i) * solution%B(:, j, k - 1)
       end do
-      if (spins) d_solution%B(:, :, k) = d_solution%B(:, :, k) &
-        + times(merge(inverse, 0.0_dp, solution%rest(:, k) >= TANGENT_REST), corotate(d_w, solution%B(:, :, k - 1)))
-      d_solution%terms = k
-      if (all(solution%rest(:, k) < TANGENT_REST)) exit
+      if (abs(d_mod_D) > 0) then
+        do j = 1, 6
+          d_B(:, j, k) = d_B(:, j, k) + d_decay * solution%B(:, j, k - 1)
+        end do
+      end if
+      if (any(abs(d_w) > 0)) d_B(:, :, k) = d_B(:, :, k) + corotate(d_spin, solution%B(:, :, k - 1))
     end do
   end subroutine vary_fabric
 

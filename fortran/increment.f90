@@ -32,6 +32,7 @@ module granumat_increment
     real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 6), w(LANES, 3)
     type(fabric_solution) :: fabric
     real(dp), dimension(LANES, N_NODES) :: t, dt, phi, A_S, growth, integrand
+    real(dp) :: y(LANES, N_NODES + 1)
     real(dp) :: A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)    ! at the nodes only with e_r > 0
   end type inner_solution
 

@@ -1,62 +1,83 @@
 !> The consistent tangent of the exact update, in closed form: changes of the state with changes of the increment (seeds: strain
 !! and spin components, or combinations of them) follow it through the inner steps.
+!!
+!! S, tr D, W and |D| change as if they were independent: a seed's changes of the first three are the same in all lanes and mostly
+!! zero; the change with |D| is common to all seeds, each takes its share of it at the end.
 module granumat_tangent
   use granumat_kinds, only: dp
-  use granumat_coordination, only: INTEGRAL, N_NODES, WEIGHT, excess_coordination, excess_slope, exponential
-  use granumat_fabric, only: fabric_solution, series_at, slopes_at, vary_fabric, y_at
+  use granumat_coordination, only: INTEGRAL, N_NODES, excess_coordination, excess_slope, exponential
+  use granumat_fabric, only: MAX_TERMS, sum_series, vary_fabric
   use granumat_increment, only: increment, inner_solution, internal
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
   use granumat_stress, only: pressure, pressure_change, pressure_modulus, stress_deviator, change_stress_deviator
-  use granumat_tensors, only: LANES, add_identity, contract, corotate, deviator, modulus, rotate, rotation, rotation_change, &
-    times, trace
+  use granumat_tensors, only: LANES, add_identity, corotate, modulus, rotate, rotation, rotation_change, times, trace
   implicit none (type, external)
   private
   public :: start_variations, vary_inner_step, stress_changes
 
   integer, parameter, public :: N_SEEDS = 9    ! 11 22 33, engineering shears 12 13 23, spins 12 13 23
+  integer, parameter :: AT_END = N_NODES + 1   ! behind the nodes of an inner step
+  real(dp), parameter :: TANGENT_REST = 1.0e-11_dp  ! first neglected term of the fabric's change over the first one
 
-  !> Changes with one strain or spin component: of the whole increment, then of what has evolved so far.
+  !> Changes with one seed, or with |D|: of the whole increment, then of what has evolved so far.
   type, public :: variation
-    real(dp) :: S(LANES, 6), S_hat(LANES, 6), w(LANES, 3)
-    real(dp), dimension(LANES) :: mod_D, mod_S, tr_D, trace_direction
+    real(dp) :: S(6), w(3), tr_D, mod_D
+    real(dp) :: S_hat(LANES, 6), mod_S(LANES), trace_direction(LANES)
     real(dp) :: A(LANES, 6), dev(LANES, 6), excess(LANES), log_phi(LANES)
   end type variation
 
-  !> What the changes of an inner step share: 1/y, f, d2 |D| phi df/dphi at the nodes (and the end), exp(-d2 |D|).
+  !> What the changes of an inner step share, at the nodes (only with e_r > 0) and the end: t^k/k!, 1/y, and what a change of Z2 is
+  !! made of, by those of the fabric's y_k and of other things.
   type :: shared_factors
-    real(dp) :: inverse_y(LANES, N_NODES + 1), decay(LANES)
-    real(dp), dimension(LANES, N_NODES) :: f, f_slope
+    integer :: first, terms
+    real(dp) :: weight(LANES, 0:MAX_TERMS, AT_END), by_y(LANES, 0:MAX_TERMS, AT_END)
+    real(dp), dimension(LANES, AT_END) :: inverse_y, by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi
   end type shared_factors
 
 contains
 
-  !> Changes of the increment with each seed: a change of the strains (engineering shears) and of the spins.
+  !> Changes of the increment with each seed: a change of the strains (engineering shears) and of the spins; the last, with |D|.
   pure subroutine start_variations(inc, seeds, change)
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: seeds(:, :)                  ! (N_SEEDS, n)
-    type(variation), intent(out) :: change(:)
-    real(dp) :: d_D(LANES, 6), d_direction(LANES, 6), mod_S(LANES)
-    integer :: j
+    type(variation), intent(out) :: change(:)            ! (n + 1)
+    real(dp), dimension(LANES) :: inverse, inverse_S, trace_direction
+    integer :: j, k
 
-    mod_S = modulus(inc%S_hat)                           ! over |D|
+    inverse = 1 / max(inc%mod_D, tiny(1.0_dp))
+    inverse_S = 1 / max(2 * modulus(inc%S_hat), tiny(1.0_dp))          ! of |S| over |D|
+    trace_direction = trace(inc%direction)
     do j = 1, size(change)
-      d_D(:, :3) = spread(seeds(1:3, j), 1, LANES)
-      d_D(:, 4:) = spread(seeds(4:6, j) / 2, 1, LANES)
-      change(j)%w = spread(seeds(7:9, j), 1, LANES)
-      change(j)%mod_D = contract(inc%direction, d_D) / 2
-      change(j)%tr_D = trace(d_D)
-      change(j)%S = deviator(d_D)
-      change(j)%mod_S = contract(inc%S_hat, change(j)%S) / (2 * max(mod_S, tiny(1.0_dp)))
-      d_direction = times(1 / max(inc%mod_D, tiny(1.0_dp)), d_D - times(change(j)%mod_D, inc%direction))
-      change(j)%S_hat = deviator(d_direction)
-      change(j)%trace_direction = trace(d_direction)
-      change(j)%A = 0
-      change(j)%dev = 0
-      change(j)%excess = 0
-      change(j)%log_phi = 0
+      associate (c => change(j))
+        c%S = 0
+        c%w = 0
+        c%tr_D = 0
+        c%mod_D = merge(1, 0, j > size(seeds, 2))
+        if (j <= size(seeds, 2)) then
+          c%tr_D = sum(seeds(:3, j))
+          c%S = [seeds(:3, j) - c%tr_D / 3, seeds(4:6, j) / 2]
+          c%w = seeds(7:, j)
+        end if
+        c%mod_S = inverse_S * project(inc%S_hat, c%S)
+        do k = 1, 6
+          c%S_hat(:, k) = inverse * (c%S(k) - c%mod_D * inc%S_hat(:, k))
+        end do
+        c%trace_direction = inverse * (c%tr_D - c%mod_D * trace_direction)
+        c%A = 0
+        c%dev = 0
+        c%excess = 0
+        c%log_phi = 0
+      end associate
     end do
   end subroutine start_variations
+
+  !> T : S with an S that is the same in all lanes.
+  pure function project(T, S) result(p)
+    real(dp), intent(in) :: T(LANES, 6), S(6)
+    real(dp) :: p(LANES)
+    p = T(:, 1) * S(1) + T(:, 2) * S(2) + T(:, 3) * S(3) + 2 * (T(:, 4) * S(4) + T(:, 5) * S(5) + T(:, 6) * S(6))
+  end function project
 
   !> Carries the changes over an inner step.
   pure subroutine vary_inner_step(par, inc, before, step, change)
@@ -65,86 +86,118 @@ contains
     type(internal), intent(in) :: before                 ! where the inner step started
     type(inner_solution), intent(in) :: step
     type(variation), intent(inout) :: change(:)
-    type(fabric_solution) :: d_fabric
     type(shared_factors) :: factors
-    real(dp) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
+    real(dp) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
     integer :: j
 
-    factors = factors_of(par, step)
+    if (par%closure /= CRITICAL) call share_factors(par, step, factors)
     do j = 1, size(change)
       if (par%closure == CRITICAL) then
         call vary_implied(par, step, change(j), d_A, d_excess)
       else
-        call vary_fabric(par, step%fabric, step%S, step%mod_D, step%w, change(j)%A, times(step%share, change(j)%S), &
-          step%share * change(j)%mod_D, spread(step%share, 2, 3) * change(j)%w, d_fabric)
-        call vary_microstructure(par, step, factors, d_fabric, change(j), d_A, d_excess)
+        call vary_microstructure(par, step, factors, change(j), d_A, d_excess)
       end if
       if (par%elastic_strain > 0) call vary_relaxation(par, inc, before%dev, step, d_A, d_excess, change(j))
-      change(j)%A = d_A(:, :, N_NODES + 1)
-      change(j)%excess = d_excess(:, N_NODES + 1)
+      change(j)%A = d_A(:, :, AT_END)
+      change(j)%excess = d_excess(:, AT_END)
       change(j)%log_phi = change(j)%log_phi - step%share * change(j)%tr_D
     end do
   end subroutine vary_inner_step
 
-  pure function factors_of(par, step) result(factors)
+  pure subroutine share_factors(par, step, factors)
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
-    type(shared_factors) :: factors
-    real(dp) :: one(LANES)
-    integer :: i
+    type(shared_factors), intent(out) :: factors
+    real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel
+    real(dp), dimension(LANES) :: t, decay
+    integer :: i, m
 
-    if (par%closure == CRITICAL) return
-    one = 1
+    factors%first = merge(1, AT_END, par%elastic_strain > 0)
+    factors%terms = count([(any(step%fabric%bound(:, i) >= TANGENT_REST), i = 0, step%fabric%terms - 1)])
     do i = 1, N_NODES
-      factors%inverse_y(:, i) = 1 / y_at(step%fabric, step%t(:, i))
-      factors%f(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
-      factors%f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_slope(par, step%phi(:, i) - par%phic)
+      f(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
+      f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_slope(par, step%phi(:, i) - par%phic)
     end do
-    factors%inverse_y(:, N_NODES + 1) = 1 / y_at(step%fabric, one)
-    factors%decay = exponential(-par%d2 * step%mod_D)
-  end function factors_of
+    do m = factors%first, AT_END
+      t = 1
+      decay = exponential(-par%d2 * step%mod_D)
+      if (m < AT_END) t = step%t(:, m)
+      if (m < AT_END) decay = 1 / step%growth(:, m)
+      do i = 1, N_NODES
+        kernel(:, i) = INTEGRAL(i, m) * step%growth(:, i) * step%dt(:, i) * decay
+      end do
+      factors%inverse_y(:, m) = 1 / step%y(:, m)
+      factors%by_excess(:, m) = decay
+      factors%by_mod_S(:, m) = 0
+      factors%by_mod_D(:, m) = -t * step%excess(:, m)
+      factors%by_tr_D(:, m) = 0
+      factors%by_log_phi(:, m) = 0
+      do i = 1, N_NODES
+        factors%by_mod_S(:, m) = factors%by_mod_S(:, m) + kernel(:, i)
+        factors%by_mod_D(:, m) = factors%by_mod_D(:, m) + INTEGRAL(i, m) * decay * step%t(:, i) * step%integrand(:, i) &
+          + kernel(:, i) * f(:, i)
+        factors%by_tr_D(:, m) = factors%by_tr_D(:, m) - kernel(:, i) * f_slope(:, i) * step%t(:, i)
+        factors%by_log_phi(:, m) = factors%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
+      end do
+      factors%by_tr_D(:, m) = step%share * (factors%by_tr_D(:, m) + par%d3 * factors%by_mod_S(:, m))
+      factors%by_mod_S(:, m) = -par%d1 * par%chi * step%share * factors%by_mod_S(:, m)
+      factors%by_mod_D(:, m) = par%d2 * step%share * factors%by_mod_D(:, m)
+      call weigh_series(par, step, t, kernel, factors%terms, factors%weight(:, :, m), factors%by_y(:, :, m))
+    end do
+  end subroutine share_factors
 
-  !> Changes of A (at the end; with e_r > 0 at the nodes too) and of Z2 - Zc.
-  pure subroutine vary_microstructure(par, step, factors, d_fabric, change, d_A, d_excess)
+  !> t^k/k!, and what the integral of kernel d1 A:S, A:S = -y'/(c3 y), changes by with each y_k.
+  pure subroutine weigh_series(par, step, t, kernel, terms, weight, by_y)
+    type(material_parameters), intent(in) :: par
+    type(inner_solution), intent(in) :: step
+    real(dp), intent(in) :: t(LANES), kernel(LANES, N_NODES)
+    integer, intent(in) :: terms
+    real(dp), intent(out) :: weight(LANES, 0:MAX_TERMS), by_y(LANES, 0:MAX_TERMS)
+    real(dp) :: power(LANES), before(LANES, N_NODES), next(LANES), by_dot_y(LANES, N_NODES), by_place(LANES, N_NODES)
+    logical :: needed(LANES)
+    integer :: i, k
+
+    do i = 1, N_NODES
+      by_dot_y(:, i) = -par%d1 / par%c3 * kernel(:, i) / step%y(:, i)
+      by_place(:, i) = par%c3 * step%A_S(:, i) * by_dot_y(:, i)
+    end do
+    power = 1
+    before = 1
+    weight(:, 0) = 1
+    by_y(:, 0) = 0
+    do k = 1, terms
+      by_y(:, k) = 0
+      do i = 1, N_NODES
+        next = before(:, i) * step%t(:, i) * (1.0_dp / k)
+        by_y(:, k) = by_y(:, k) + by_dot_y(:, i) * before(:, i) + by_place(:, i) * next
+        before(:, i) = next
+      end do
+      power = power * t * (1.0_dp / k)
+      needed = step%fabric%bound(:, k - 1) >= TANGENT_REST           ! by the lane itself, whatever the others need
+      weight(:, k) = merge(power, 0.0_dp, needed)
+      by_y(:, k) = merge(by_y(:, k), 0.0_dp, needed)
+    end do
+  end subroutine weigh_series
+
+  !> Changes of A and of Z2 - Zc (at the end; with e_r > 0 at the nodes too).
+  pure subroutine vary_microstructure(par, step, factors, change, d_A, d_excess)
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
     type(shared_factors), intent(in) :: factors
-    type(fabric_solution), intent(in) :: d_fabric
     type(variation), intent(in) :: change
-    real(dp), intent(out) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
-    real(dp), dimension(LANES) :: d_y_end, d_A_S, d_decay, d_constant, d_tr_D
-    real(dp), dimension(LANES, N_NODES) :: d_y, dot_d_y, d_integrand
-    integer :: i, j
+    real(dp), intent(out) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
+    real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS), d_y(LANES)
+    integer :: k, m
 
-    d_decay = par%d2 * step%share * change%mod_D
-    d_tr_D = step%share * change%tr_D
-    d_constant = par%d3 * d_tr_D - par%d1 * par%chi * step%share * change%mod_S
-    d_excess(:, N_NODES + 1) = change%excess
-    call slopes_at(d_fabric, N_NODES, step%t, d_y, dot_d_y)
-    do i = 1, N_NODES
-      d_A_S = -(dot_d_y(:, i) / par%c3 + step%A_S(:, i) * d_y(:, i)) * factors%inverse_y(:, i)
-      d_integrand(:, i) = d_decay * step%t(:, i) * step%integrand(:, i) + step%growth(:, i) * step%dt(:, i) * (par%d1 * d_A_S &
-        + d_constant + d_decay * factors%f(:, i) + factors%f_slope(:, i) * (change%log_phi - step%t(:, i) * d_tr_D))
-      d_excess(:, N_NODES + 1) = d_excess(:, N_NODES + 1) + WEIGHT(i) * d_integrand(:, i)
-    end do
-    d_excess(:, N_NODES + 1) = d_excess(:, N_NODES + 1) * factors%decay - d_decay * step%excess(:, N_NODES + 1)
-    d_A(:, :, N_NODES + 1) = d_fabric%B(:, :, 0)
-    d_y_end = 0
-    do i = 1, d_fabric%terms
-      d_A(:, :, N_NODES + 1) = d_A(:, :, N_NODES + 1) + d_fabric%B(:, :, i)
-      d_y_end = d_y_end + d_fabric%y(:, i)
-    end do
-    d_A(:, :, N_NODES + 1) = times(factors%inverse_y(:, N_NODES + 1), &
-      d_A(:, :, N_NODES + 1) - times(d_y_end, step%A(:, :, N_NODES + 1)))
-    if (.not. par%elastic_strain > 0) return
-    do i = 1, N_NODES
-      d_A(:, :, i) = times(factors%inverse_y(:, i), &
-        series_at(d_fabric, step%t(:, i)) - times(d_y(:, i), step%A(:, :, i)))
-      d_excess(:, i) = change%excess
-      do j = 1, N_NODES
-        d_excess(:, i) = d_excess(:, i) + INTEGRAL(j, i) * d_integrand(:, j)
+    call vary_fabric(par, step%fabric, factors%terms, step%share, change%A, change%S, change%mod_D, change%w, B, y)
+    do m = factors%first, AT_END
+      d_excess(:, m) = factors%by_excess(:, m) * change%excess + factors%by_mod_D(:, m) * change%mod_D &
+        + factors%by_mod_S(:, m) * change%mod_S + factors%by_tr_D(:, m) * change%tr_D + factors%by_log_phi(:, m) * change%log_phi
+      do k = 1, factors%terms
+        d_excess(:, m) = d_excess(:, m) + factors%by_y(:, k, m) * y(:, k)
       end do
-      d_excess(:, i) = d_excess(:, i) / step%growth(:, i) - d_decay * step%t(:, i) * step%excess(:, i)
+      call sum_series(factors%terms, factors%weight(:, :, m), B, y, d_A(:, :, m), d_y)
+      d_A(:, :, m) = times(factors%inverse_y(:, m), d_A(:, :, m) - times(d_y, step%A(:, :, m)))
     end do
   end subroutine vary_microstructure
 
@@ -153,15 +206,15 @@ contains
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
     type(variation), intent(in) :: change
-    real(dp), intent(out) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
-    real(dp) :: t(LANES, N_NODES + 1), phi(LANES, N_NODES + 1)
+    real(dp), intent(out) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
+    real(dp) :: t(LANES, AT_END), phi(LANES, AT_END)
     integer :: i
 
     t(:, :N_NODES) = step%t
-    t(:, N_NODES + 1) = 1
+    t(:, AT_END) = 1
     phi(:, :N_NODES) = step%phi
-    phi(:, N_NODES + 1) = step%phi_end
-    do i = 1, N_NODES + 1
+    phi(:, AT_END) = step%phi_end
+    do i = 1, AT_END
       d_A(:, :, i) = par%lambda * change%S_hat
       d_excess(:, i) = excess_slope(par, phi(:, i) - par%phic) * phi(:, i) * (change%log_phi - t(:, i) * step%share * change%tr_D)
     end do
@@ -173,10 +226,10 @@ contains
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: dev(LANES, 6)                ! before the step
     type(inner_solution), intent(in) :: step
-    real(dp), intent(in) :: d_A(LANES, 6, N_NODES + 1), d_excess(LANES, N_NODES + 1)
+    real(dp), intent(in) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
     type(variation), intent(inout) :: change
-    real(dp) :: ratio(LANES), d_ratio(LANES), u(LANES, N_NODES + 1), w(LANES, 3), R(LANES, 3, 3)
-    real(dp), dimension(LANES, N_NODES + 1) :: weights, slopes
+    real(dp) :: ratio(LANES), d_ratio(LANES), u(LANES, AT_END), w(LANES, 3), R(LANES, 3, 3)
+    real(dp), dimension(LANES, AT_END) :: weights, slopes
     real(dp), dimension(LANES, 6) :: turned, d_dev, unit, d_model
     real(dp), dimension(LANES) :: p, d_p, one
     integer :: i
@@ -186,14 +239,14 @@ contains
     ratio = step%mod_D / par%elastic_strain
     d_ratio = step%share * change%mod_D / par%elastic_strain
     u(:, :N_NODES) = 1 - step%t
-    u(:, N_NODES + 1) = 0
+    u(:, AT_END) = 0
     weights = relaxation_weights(ratio, u)
     slopes = relaxation_weights_slope(ratio, u)
     R = rotation(step%w)
     turned = times(exp(-ratio), rotate(R, dev))
     d_dev = times(exp(-ratio), rotate(R, change%dev)) - times(d_ratio, turned) &
-      + corotate(rotation_change(step%w, spread(step%share, 2, 3) * change%w), turned)
-    do i = 1, N_NODES + 1
+      + corotate(rotation_change(step%w, spread(step%share, 2, 3) * spread(change%w, 1, LANES)), turned)
+    do i = 1, AT_END
       w = spread(u(:, i), 2, 3) * step%w
       R = rotation(w)
       p = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
@@ -203,7 +256,8 @@ contains
       call change_stress_deviator(par, step%A(:, :, i), inc%S_hat, p, unit, d_A(:, :, i), change%S_hat, d_p, d_model)
       turned = rotate(R, times(p, unit))
       d_dev = d_dev + times(slopes(:, i) * d_ratio, turned) &
-        + times(weights(:, i), corotate(rotation_change(w, spread(u(:, i) * step%share, 2, 3) * change%w), turned)) &
+        + times(weights(:, i), corotate(rotation_change(w, spread(u(:, i) * step%share, 2, 3) * spread(change%w, 1, LANES)), &
+          turned)) &
         + times(weights(:, i), rotate(R, d_model))
     end do
     change%dev = d_dev
@@ -214,19 +268,27 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(internal), intent(in) :: x
-    type(variation), intent(in) :: change(:)
-    real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, size(change))
-    real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6)
-    integer :: j
+    type(variation), intent(in) :: change(:)             ! (n + 1), the last with |D|
+    real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, n)
+    real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6), by_mod_D(LANES, 6), d_mod_D(LANES)
+    integer :: j, k
 
     unit = stress_deviator(par, x%A, inc%S_hat, spread(1.0_dp, 1, LANES))
     p = pressure(par, pressure_modulus(par, x%A, inc%direction), x%excess)
-    do j = 1, size(change)
+    do j = size(change), 1, -1
       associate (c => change(j))
         d_p = pressure_change(par, x%A, inc%direction, x%excess, c%A, c%trace_direction, c%excess)
         d_dev = c%dev
         if (.not. par%elastic_strain > 0) call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
-        tangent(:, :, j) = add_identity(d_dev, -d_p)
+        if (c%mod_D > 0) then
+          by_mod_D = add_identity(d_dev, -d_p)
+        else
+          d_mod_D = (project(inc%direction, c%S) + trace(inc%direction) * (c%tr_D / 3)) / 2
+          tangent(:, :, j) = add_identity(d_dev, -d_p)
+          do k = 1, 6
+            tangent(:, k, j) = tangent(:, k, j) + d_mod_D * by_mod_D(:, k)
+          end do
+        end if
       end associate
     end do
   end subroutine stress_changes

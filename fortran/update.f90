@@ -9,7 +9,7 @@ module granumat_update
   use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
   use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
-  use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric, y_at
+  use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric
   use granumat_coordination, only: N_NODES, exponential, integrate_coordination, nodes
   use granumat_stress, only: pressure, pressure_modulus
   use granumat_relaxation, only: relaxation_weights
@@ -70,17 +70,17 @@ contains
     type(material_parameters) :: exactly
     type(increment) :: inc
     type(variation), allocatable :: change(:)
-    integer :: exact_status(LANES), j
+    integer :: exact_status(LANES), i
 
     inc = to_increment(strain, spin, status == OK)
     exactly = par
     exactly%method = EXACT
     exact_status = status
-    allocate (change(size(seeds, 2)))
+    allocate (change(size(seeds, 2) + 1))
     call start_variations(inc, seeds, change)
     call deform(exactly, old, inc, new, exact_status, change, tangent)
-    do j = 1, size(tangent, 3)
-      tangent(:, :, j) = merge(tangent(:, :, j), 0.0_dp, spread(exact_status == OK, 2, 6))
+    do i = 1, LANES
+      if (exact_status(i) /= OK) tangent(i, :, :) = 0
     end do
     if (par%spin == BEFORE) then
       call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
@@ -338,17 +338,17 @@ contains
       end do
       call imply(par, inc, x%phi, step%A(:, :, N_NODES + 1), step%excess(:, N_NODES + 1))
     else
-      one = 1
       call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
-      step%A(:, :, N_NODES + 1) = fabric_at(step%fabric, one)
-      where (status == OK .and. .not. (y_at(step%fabric, one) > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
-        status = FABRIC_BLOWS_UP
-      call projections_at(step%fabric, N_NODES, step%t, step%A_S)
+      call projections_at(par, step%fabric, N_NODES, step%t, step%y(:, :N_NODES), step%A_S)
       if (par%elastic_strain > 0) then
         do i = 1, N_NODES
-          step%A(:, :, i) = fabric_at(step%fabric, step%t(:, i))
+          call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
         end do
       end if
+      one = 1
+      call fabric_at(step%fabric, one, step%A(:, :, N_NODES + 1), step%y(:, N_NODES + 1))
+      where (status == OK .and. .not. (step%y(:, N_NODES + 1) > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
+        status = FABRIC_BLOWS_UP
       call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
         par%elastic_strain > 0, step%growth, step%integrand, step%excess)
     end if
