@@ -4,7 +4,7 @@ module granumat_batch
   use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: BAD_PARAMETERS
-  use granumat_tangent, only: N_SEEDS
+  use granumat_tangent, only: basis, by_components, N_SEEDS
   use granumat_tensors, only: LANES, strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
@@ -22,8 +22,8 @@ contains
     integer, intent(out) :: status(:)
     real(dp), intent(out), optional :: tangent(:, :, :)   ! (6 or 9, 6, n): (j, i) = d stress_i / d (strain_j, spin_j)
     type(lane_state) :: x, x_new
-    real(dp) :: strain(LANES, 6), spin(LANES, 3), lane_tangent(LANES, 6, N_SEEDS), unit(N_SEEDS, N_SEEDS)
-    integer :: lane_status(LANES), first, last, i, seeds
+    real(dp) :: strain(LANES, 6), spin(LANES, 3), lane_tangent(LANES, 6, N_SEEDS)
+    integer :: lane_status(LANES), first, last, i, j, seeds
 
     if (.not. are_valid(par)) then
       new = old
@@ -33,20 +33,19 @@ contains
     end if
     seeds = 0
     if (present(tangent)) seeds = size(tangent, 1)
-    unit = 0
-    do i = 1, N_SEEDS
-      unit(i, i) = 1
-    end do
     !$omp parallel do num_threads(threads) if(threads > 1) &
-    !$omp private(x, x_new, strain, spin, lane_tangent, lane_status, last, i)
+    !$omp private(x, x_new, strain, spin, lane_tangent, lane_status, last, i, j)
     do first = 1, size(old), LANES
       last = min(first + LANES - 1, size(old))
       call gather(old(first:last), x)
       call strain_and_spin(gradient(:, :, first:last), strain, spin)
       if (seeds > 0) then
-        call update(par, x, strain, spin, x_new, lane_status, unit(:, :seeds), lane_tangent(:, :, :seeds))
+        call update(par, x, strain, spin, x_new, lane_status, basis(seeds), lane_tangent(:, :, :seeds))
+        call by_components(lane_tangent(:, :, :seeds))
         do i = first, last
-          tangent(:, :, i) = transpose(lane_tangent(i - first + 1, :, :seeds))
+          do j = 1, seeds
+            tangent(j, :, i) = lane_tangent(i - first + 1, :, j)
+          end do
         end do
       else
         call update(par, x, strain, spin, x_new, lane_status)

@@ -25,7 +25,7 @@ module granumat_coordination
     0.173927422568726929_dp], [N_NODES + 1, N_NODES]))
 
   integer :: j
-  real(dp), parameter :: INVERSE_FACTORIAL(0:11) = [(1 / gamma(real(j + 1, dp)), j = 0, 11)]
+  real(dp), parameter :: INVERSE_FACTORIAL(2:11) = [(1 / gamma(real(j + 1, dp)), j = 2, 11)]
 
 contains
 
@@ -33,11 +33,10 @@ contains
   pure function exponential(x) result(e)
     real(dp), intent(in) :: x(LANES)
     real(dp) :: e(LANES)
-    integer :: k
-    e = INVERSE_FACTORIAL(11)
-    do k = 10, 0, -1
-      e = e * x + INVERSE_FACTORIAL(k)
-    end do
+    associate (c => INVERSE_FACTORIAL)
+      e = c(6) + x * (c(7) + x * (c(8) + x * (c(9) + x * (c(10) + x * c(11)))))
+      e = 1 + x * (1 + x * (c(2) + x * (c(3) + x * (c(4) + x * (c(5) + x * e)))))
+    end associate
   end function exponential
 
   !> f(phi) - Zc (4.9), from phi - phic.

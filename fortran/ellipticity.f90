@@ -14,7 +14,7 @@ module granumat_ellipticity
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
-  use granumat_stress, only: evaluate, friction, pressure_change, change_stress_deviator, stress_deviator
+  use granumat_stress, only: evaluate, friction, pressure_change, pressure_slopes, change_stress_deviator, stress_deviator
   use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, times, trace
   implicit none (type, external)
   private
@@ -91,6 +91,7 @@ contains
     real(dp), intent(in) :: E(LANES, 6)
     real(dp) :: d_stress(LANES, 6), d_direction(LANES, 6), d_A(LANES, 6), S_hat(LANES, 6)
     real(dp), dimension(LANES) :: p, d_p, d_mod, none
+    type(pressure_change) :: by
 
     p = -trace(model%stress) / 3
     none = 0
@@ -98,8 +99,8 @@ contains
     d_direction = E - times(d_mod, model%direction)
     d_A = 0
     if (par%closure == CRITICAL) d_A = par%lambda * deviator(d_direction)
-    d_p = pressure_change(par, model%fabric, model%direction, model%coordination_number - par%Zc, 0 * d_A, trace(d_direction), &
-      none) / max(p, tiny(p))
+    by = pressure_slopes(par, model%fabric, model%direction, model%coordination_number - par%Zc)
+    d_p = by%trace * trace(d_direction) / max(p, tiny(p))
     S_hat = deviator(model%direction)
     call change_stress_deviator(par, model%fabric, S_hat, none + 1, stress_deviator(par, model%fabric, S_hat, none + 1), &
       d_A, deviator(d_direction), d_p, d_stress)
@@ -115,10 +116,10 @@ contains
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: model
     real(dp), intent(in) :: d_mod(LANES), E(LANES, 6)
-    real(dp), dimension(LANES) :: d_dot_p, A_E, distance, excess, missing, d_mod_S, d_dot_Z2, none
+    real(dp), dimension(LANES) :: d_dot_p, A_E, distance, excess, missing, d_mod_S, d_dot_Z2
     real(dp) :: d_dot_A(LANES, 6), S_hat(LANES, 6)
+    type(pressure_change) :: by
 
-    none = 0
     excess = model%coordination_number - par%Zc
     distance = model%volume_fraction - par%phic
     if (par%closure == CRITICAL) then
@@ -132,7 +133,8 @@ contains
       missing = excess_coordination(par, distance) - excess
       d_dot_Z2 = par%d1 * (A_E - par%chi * d_mod_S) + par%d2 * d_mod * missing + par%d3 * trace(E)               ! (4.8)
     end if
-    d_dot_p = pressure_change(par, model%fabric, model%direction, excess, d_dot_A, none, d_dot_Z2)
+    by = pressure_slopes(par, model%fabric, model%direction, excess)
+    d_dot_p = by%A * contract(model%fabric, d_dot_A) + by%excess * d_dot_Z2
   end function pressure_rate_change
 
   !> The smallest value of a measure of Q(n) over all normals n, and where: a grid, then local searches from its best.

@@ -4,6 +4,7 @@
 !! The Taylor series of the exponential's action on (A, 1) gives B and y anywhere in the increment, and A:S = -y'/(c3 y).
 module granumat_fabric
   use granumat_kinds, only: dp
+  use granumat_coordination, only: N_NODES
   use granumat_parameters, only: material_parameters
   use granumat_tensors, only: LANES, corotate, times
   implicit none (type, external)
@@ -103,28 +104,31 @@ contains
     end do
   end subroutine differentiate
 
-  !> y (positive as long as the fabric has not blown up) and A:S = -y'/(c3 y) at n places t.
-  pure subroutine projections_at(par, solution, n, t, y, A_S)
+  !> y (positive as long as the fabric has not blown up) and A:S = -y'/(c3 y) at the nodes.
+  pure subroutine projections_at(par, solution, t, y, A_S)
     type(material_parameters), intent(in) :: par
     type(fabric_solution), intent(in) :: solution
-    integer, intent(in) :: n
-    real(dp), intent(in) :: t(LANES, n)
-    real(dp), intent(out) :: y(LANES, n), A_S(LANES, n)
-    real(dp) :: term
+    real(dp), intent(in) :: t(LANES, N_NODES)
+    real(dp), intent(out) :: y(LANES, N_NODES), A_S(LANES, N_NODES)
+    real(dp) :: y_i(N_NODES), dot_y(N_NODES), term
     integer :: i, j, k
 
-    y = 0
-    A_S = 0
-    do k = solution%terms, 0, -1
-      do j = 1, n
-        do i = 1, LANES
-          term = solution%weight(i, k) * solution%y(i, k)
-          A_S(i, j) = A_S(i, j) * t(i, j) + y(i, j)                          ! y'
-          y(i, j) = y(i, j) * t(i, j) + term
+    do i = 1, LANES                            ! vectorised, as the loop over the terms surely runs: see sum_series
+      y_i = 0
+      dot_y = 0
+      k = solution%terms
+      do
+        term = solution%weight(i, k) * solution%y(i, k)
+        do j = 1, N_NODES
+          dot_y(j) = dot_y(j) * t(i, j) + y_i(j)
+          y_i(j) = y_i(j) * t(i, j) + term
         end do
+        k = k - 1
+        if (k < 0) exit
       end do
+      y(i, :) = y_i
+      A_S(i, :) = -dot_y / (par%c3 * y_i)
     end do
-    A_S = -A_S / (par%c3 * y)
   end subroutine projections_at
 
   !> A and y at t.
@@ -179,6 +183,7 @@ contains
     real(dp), intent(out) :: d_B(LANES, 6, 0:MAX_TERMS), d_y(LANES, 0:MAX_TERMS)
     real(dp) :: d_source(LANES, 6), d_sink(LANES, 6), d_decay(LANES), d_spin(LANES, 3)
     integer :: changed(6), n, i, j, k
+    logical :: decays, spins
 
     n = 0
     do j = 1, 6
@@ -188,7 +193,9 @@ contains
       d_source(:, n) = par%c1 * d_S(j) * share
       d_sink(:, n) = -par%c3 * merge(1, 2, j <= 3) * d_S(j) * share
     end do
+    decays = abs(d_mod_D) > 0
     d_decay = par%c2 * d_mod_D * share
+    spins = any(abs(d_w) > 0)
     do j = 1, 3
       d_spin(:, j) = d_w(j) * share
     end do
@@ -201,12 +208,8 @@ contains
         d_B(:, j, k) = d_B(:, j, k) + d_source(:, i) * solution%y(:, k - 1)
         d_y(:, k) = d_y(:, k) + d_sink(:, i) * solution%B(:, j, k - 1)
       end do
-      if (abs(d_mod_D) > 0) then
-        do j = 1, 6
-          d_B(:, j, k) = d_B(:, j, k) + d_decay * solution%B(:, j, k - 1)
-        end do
-      end if
-      if (any(abs(d_w) > 0)) d_B(:, :, k) = d_B(:, :, k) + corotate(d_spin, solution%B(:, :, k - 1))
+      if (decays) d_B(:, :, k) = d_B(:, :, k) + times(d_decay, solution%B(:, :, k - 1))
+      if (spins) d_B(:, :, k) = d_B(:, :, k) + corotate(d_spin, solution%B(:, :, k - 1))
     end do
   end subroutine vary_fabric
 

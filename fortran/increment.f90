@@ -43,13 +43,15 @@ contains
     real(dp), intent(in) :: strain(LANES, 6), spin(LANES, 3)
     logical, intent(in) :: wanted(LANES)
     type(increment) :: inc
-    integer :: k
+    integer :: i
 
-    do k = 1, 6
-      inc%D(:, k) = merge(strain(:, k), 0.0_dp, wanted) * merge(1.0_dp, 0.5_dp, k <= 3)
-    end do
-    do k = 1, 3
-      inc%spin(:, k) = merge(spin(:, k), 0.0_dp, wanted)
+    inc%D(:, :3) = strain(:, :3)
+    inc%D(:, 4:) = strain(:, 4:) / 2
+    inc%spin = spin
+    do i = 1, LANES
+      if (wanted(i)) cycle
+      inc%D(i, :) = 0
+      inc%spin(i, :) = 0
     end do
     inc%mod_D = safe_modulus(inc%D)
     inc%direction = times(1 / max(inc%mod_D, tiny(1.0_dp)), inc%D)

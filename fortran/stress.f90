@@ -7,7 +7,12 @@ module granumat_stress
   use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_symmetric, times, trace
   implicit none (type, external)
   private
-  public :: evaluate, pressure_modulus, pressure, pressure_change, friction, stress_deviator, change_stress_deviator
+  public :: evaluate, pressure_modulus, pressure, pressure_slopes, friction, stress_deviator, change_stress_deviator
+
+  !> What the pressure changes by with A:dA, with tr D^ and with Z2 - Zc.
+  type, public :: pressure_change
+    real(dp), dimension(LANES) :: A, trace, excess
+  end type pressure_change
 
 contains
 
@@ -56,19 +61,21 @@ contains
     dev = times(-p, dev)
   end function stress_deviator
 
-  !> Change of the pressure with changes of A, of tr D^ and of Z2 - Zc.
-  pure function pressure_change(par, A, direction, excess, d_A, d_trace, d_excess) result(d_p)
+  pure function pressure_slopes(par, A, direction, excess) result(by)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6), direction(LANES, 6), excess(LANES), d_A(LANES, 6), d_trace(LANES), d_excess(LANES)
-    real(dp) :: d_p(LANES), factor(LANES), d_factor(LANES), z(LANES)
+    real(dp), intent(in) :: A(LANES, 6), direction(LANES, 6), excess(LANES)
+    type(pressure_change) :: by
+    real(dp), dimension(LANES) :: factor, z, outer
 
     z = max(excess, 0.0_dp)
     factor = pressure_modulus(par, A, direction)
-    d_factor = par%g * d_trace
-    if (par%closure /= CRITICAL) d_factor = d_factor + par%a2 * contract(A, d_A) / (2 * max(modulus(A), tiny(1.0_dp)))
-    d_p = d_factor * z**2 + 2 * factor * z * d_excess
-    if (par%contact == HERTZIAN) d_p = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z * d_p
-  end function pressure_change
+    outer = 1
+    if (par%contact == HERTZIAN) outer = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z
+    by%A = 0
+    if (par%closure /= CRITICAL) by%A = outer * z**2 * par%a2 / (2 * max(modulus(A), tiny(1.0_dp)))
+    by%trace = outer * z**2 * par%g
+    by%excess = 2 * outer * factor * z
+  end function pressure_slopes
 
   !> Change of the stress deviator with changes of A, S^ and p; unit is the deviator at p = 1.
   pure subroutine change_stress_deviator(par, A, S, p, unit, d_A, d_S, d_p, d_dev)

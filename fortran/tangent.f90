@@ -10,11 +10,11 @@ module granumat_tangent
   use granumat_increment, only: increment, inner_solution, internal
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
-  use granumat_stress, only: pressure, pressure_change, pressure_modulus, stress_deviator, change_stress_deviator
-  use granumat_tensors, only: LANES, add_identity, corotate, modulus, rotate, rotation, rotation_change, times, trace
+  use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, change_stress_deviator
+  use granumat_tensors, only: LANES, add_identity, contract, corotate, modulus, rotate, rotation, rotation_change, times, trace
   implicit none (type, external)
   private
-  public :: start_variations, vary_inner_step, stress_changes
+  public :: basis, by_components, start_variations, vary_inner_step, stress_changes
 
   integer, parameter, public :: N_SEEDS = 9    ! 11 22 33, engineering shears 12 13 23, spins 12 13 23
   integer, parameter :: AT_END = N_NODES + 1   ! behind the nodes of an inner step
@@ -35,7 +35,46 @@ module granumat_tangent
     real(dp), dimension(LANES, AT_END) :: inverse_y, by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi
   end type shared_factors
 
+  !> And what those of a relaxing deviator share: at the start (0), the nodes and the end.
+  type :: relaxation_factors
+    real(dp), dimension(LANES, AT_END) :: weights, slopes, p
+    real(dp) :: decay(LANES), w(LANES, 3, 0:AT_END), R(LANES, 3, 3, 0:AT_END)
+    real(dp) :: unit(LANES, 6, AT_END), turned(LANES, 6, 0:AT_END)
+    type(pressure_change) :: by(AT_END)
+  end type relaxation_factors
+
 contains
+
+  !> The seeds of all changes: of the strain two without volume and one without shape, for the fabric sees no volume.
+  pure function basis(n) result(seeds)
+    integer, intent(in) :: n                             ! 6 for strains, N_SEEDS for strains and spins
+    real(dp) :: seeds(N_SEEDS, n)
+    integer :: j
+
+    seeds = 0
+    do j = 4, n
+      seeds(j, j) = 1
+    end do
+    seeds(:3, 1) = [1, -1, 0]
+    seeds(:3, 2) = [0, 1, -1]
+    seeds(:3, 3) = 1.0_dp / 3
+  end function basis
+
+  !> From changes with the basis to changes with the components.
+  pure subroutine by_components(tangent)
+    real(dp), intent(inout) :: tangent(:, :, :)          ! (LANES, 6, 6 or N_SEEDS)
+    real(dp), dimension(LANES) :: first, second, volume
+    integer :: k
+
+    do k = 1, 6
+      first = tangent(:, k, 1)
+      second = tangent(:, k, 2)
+      volume = tangent(:, k, 3)
+      tangent(:, k, 1) = volume + (2 * first + second) / 3
+      tangent(:, k, 2) = volume + (second - first) / 3
+      tangent(:, k, 3) = volume - (first + 2 * second) / 3
+    end do
+  end subroutine by_components
 
   !> Changes of the increment with each seed: a change of the strains (engineering shears) and of the spins; the last, with |D|.
   pure subroutine start_variations(inc, seeds, change)
@@ -87,17 +126,19 @@ contains
     type(inner_solution), intent(in) :: step
     type(variation), intent(inout) :: change(:)
     type(shared_factors) :: factors
+    type(relaxation_factors) :: relaxation
     real(dp) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
     integer :: j
 
     if (par%closure /= CRITICAL) call share_factors(par, step, factors)
+    if (par%elastic_strain > 0) call share_relaxation(par, inc, before%dev, step, relaxation)
     do j = 1, size(change)
       if (par%closure == CRITICAL) then
         call vary_implied(par, step, change(j), d_A, d_excess)
       else
         call vary_microstructure(par, step, factors, change(j), d_A, d_excess)
       end if
-      if (par%elastic_strain > 0) call vary_relaxation(par, inc, before%dev, step, d_A, d_excess, change(j))
+      if (par%elastic_strain > 0) call vary_relaxation(par, inc, step, relaxation, d_A, d_excess, change(j))
       change(j)%A = d_A(:, :, AT_END)
       change(j)%excess = d_excess(:, AT_END)
       change(j)%log_phi = change(j)%log_phi - step%share * change(j)%tr_D
@@ -189,15 +230,21 @@ contains
     real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS), d_y(LANES)
     integer :: k, m
 
-    call vary_fabric(par, step%fabric, factors%terms, step%share, change%A, change%S, change%mod_D, change%w, B, y)
     do m = factors%first, AT_END
       d_excess(:, m) = factors%by_excess(:, m) * change%excess + factors%by_mod_D(:, m) * change%mod_D &
         + factors%by_mod_S(:, m) * change%mod_S + factors%by_tr_D(:, m) * change%tr_D + factors%by_log_phi(:, m) * change%log_phi
+    end do
+    d_A(:, :, factors%first:) = 0
+    if (.not. (change%mod_D > 0 .or. any(abs(change%S) > 0) .or. any(abs(change%w) > 0))) return      ! only the volume changes
+    call vary_fabric(par, step%fabric, factors%terms, step%share, change%A, change%S, change%mod_D, change%w, B, y)
+    do m = factors%first, AT_END
       do k = 1, factors%terms
         d_excess(:, m) = d_excess(:, m) + factors%by_y(:, k, m) * y(:, k)
       end do
       call sum_series(factors%terms, factors%weight(:, :, m), B, y, d_A(:, :, m), d_y)
-      d_A(:, :, m) = times(factors%inverse_y(:, m), d_A(:, :, m) - times(d_y, step%A(:, :, m)))
+      do k = 1, 6
+        d_A(:, k, m) = factors%inverse_y(:, m) * (d_A(:, k, m) - d_y * step%A(:, k, m))
+      end do
     end do
   end subroutine vary_microstructure
 
@@ -220,48 +267,84 @@ contains
     end do
   end subroutine vary_implied
 
-  !> Change of the relaxing deviator.
-  pure subroutine vary_relaxation(par, inc, dev, step, d_A, d_excess, change)
+  pure subroutine share_relaxation(par, inc, dev, step, factors)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: dev(LANES, 6)                ! before the step
     type(inner_solution), intent(in) :: step
-    real(dp), intent(in) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
-    type(variation), intent(inout) :: change
-    real(dp) :: ratio(LANES), d_ratio(LANES), u(LANES, AT_END), w(LANES, 3), R(LANES, 3, 3)
-    real(dp), dimension(LANES, AT_END) :: weights, slopes
-    real(dp), dimension(LANES, 6) :: turned, d_dev, unit, d_model
-    real(dp), dimension(LANES) :: p, d_p, one
+    type(relaxation_factors), intent(out) :: factors
+    real(dp) :: ratio(LANES), u(LANES, AT_END), one(LANES)
     integer :: i
 
     one = 1
-
     ratio = step%mod_D / par%elastic_strain
-    d_ratio = step%share * change%mod_D / par%elastic_strain
     u(:, :N_NODES) = 1 - step%t
     u(:, AT_END) = 0
-    weights = relaxation_weights(ratio, u)
-    slopes = relaxation_weights_slope(ratio, u)
-    R = rotation(step%w)
-    turned = times(exp(-ratio), rotate(R, dev))
-    d_dev = times(exp(-ratio), rotate(R, change%dev)) - times(d_ratio, turned) &
-      + corotate(rotation_change(step%w, spread(step%share, 2, 3) * spread(change%w, 1, LANES)), turned)
+    factors%decay = exp(-ratio)
+    factors%weights = relaxation_weights(ratio, u)
+    factors%slopes = relaxation_weights_slope(ratio, u)
+    factors%w(:, :, 0) = step%w
+    factors%R(:, :, :, 0) = rotation(step%w)
+    factors%turned(:, :, 0) = times(factors%decay, rotate(factors%R(:, :, :, 0), dev))
     do i = 1, AT_END
-      w = spread(u(:, i), 2, 3) * step%w
-      R = rotation(w)
-      p = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
-      d_p = pressure_change(par, step%A(:, :, i), inc%direction, step%excess(:, i), d_A(:, :, i), change%trace_direction, &
-        d_excess(:, i))
-      unit = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
-      call change_stress_deviator(par, step%A(:, :, i), inc%S_hat, p, unit, d_A(:, :, i), change%S_hat, d_p, d_model)
-      turned = rotate(R, times(p, unit))
-      d_dev = d_dev + times(slopes(:, i) * d_ratio, turned) &
-        + times(weights(:, i), corotate(rotation_change(w, spread(u(:, i) * step%share, 2, 3) * spread(change%w, 1, LANES)), &
-          turned)) &
-        + times(weights(:, i), rotate(R, d_model))
+      factors%w(:, :, i) = spread(u(:, i), 2, 3) * step%w
+      factors%R(:, :, :, i) = rotation(factors%w(:, :, i))
+      factors%p(:, i) = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
+      factors%by(i) = pressure_slopes(par, step%A(:, :, i), inc%direction, step%excess(:, i))
+      factors%unit(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
+      factors%turned(:, :, i) = rotate(factors%R(:, :, :, i), times(factors%p(:, i), factors%unit(:, :, i)))
     end do
+  end subroutine share_relaxation
+
+  !> Change of the relaxing deviator.
+  pure subroutine vary_relaxation(par, inc, step, factors, d_A, d_excess, change)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(inner_solution), intent(in) :: step
+    type(relaxation_factors), intent(in) :: factors
+    real(dp), intent(in) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
+    type(variation), intent(inout) :: change
+    real(dp), dimension(LANES, 6) :: d_dev, d_model
+    real(dp) :: d_p(LANES), d_ratio(LANES)
+    integer :: i
+
+    d_dev = times(factors%decay, rotate(factors%R(:, :, :, 0), change%dev))
+    do i = 1, AT_END
+      associate (by => factors%by(i))
+        d_p = by%A * contract(step%A(:, :, i), d_A(:, :, i)) + by%trace * change%trace_direction + by%excess * d_excess(:, i)
+      end associate
+      call change_stress_deviator(par, step%A(:, :, i), inc%S_hat, factors%p(:, i), factors%unit(:, :, i), d_A(:, :, i), &
+        change%S_hat, d_p, d_model)
+      d_dev = d_dev + times(factors%weights(:, i), rotate(factors%R(:, :, :, i), d_model))
+    end do
+    if (change%mod_D > 0) then
+      d_ratio = step%share * change%mod_D / par%elastic_strain
+      d_dev = d_dev - times(d_ratio, factors%turned(:, :, 0))
+      do i = 1, AT_END
+        d_dev = d_dev + times(factors%slopes(:, i) * d_ratio, factors%turned(:, :, i))
+      end do
+    end if
+    if (any(abs(change%w) > 0)) then
+      d_dev = d_dev + turn_change(factors%w(:, :, 0), change%w, step%share, factors%turned(:, :, 0))
+      do i = 1, N_NODES
+        d_dev = d_dev + times(factors%weights(:, i), &
+          turn_change(factors%w(:, :, i), change%w, step%share * (1 - step%t(:, i)), factors%turned(:, :, i)))
+      end do
+    end if
     change%dev = d_dev
   end subroutine vary_relaxation
+
+  !> Change of a tensor turned by w with a change share d_w.
+  pure function turn_change(w, d_w, share, turned) result(d_turned)
+    real(dp), intent(in) :: w(LANES, 3), d_w(3), share(LANES), turned(LANES, 6)
+    real(dp) :: d_turned(LANES, 6), d_spin(LANES, 3)
+    integer :: k
+
+    do k = 1, 3
+      d_spin(:, k) = share * d_w(k)
+    end do
+    d_turned = corotate(rotation_change(w, d_spin), turned)
+  end function turn_change
 
   !> Change of the stress at the end of the increment, tension positive, with each seed.
   pure subroutine stress_changes(par, inc, x, change, tangent)
@@ -271,14 +354,16 @@ contains
     type(variation), intent(in) :: change(:)             ! (n + 1), the last with |D|
     real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, n)
     real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6), by_mod_D(LANES, 6), d_mod_D(LANES)
+    type(pressure_change) :: by
     integer :: j, k
 
+    by = pressure_slopes(par, x%A, inc%direction, x%excess)
     unit = stress_deviator(par, x%A, inc%S_hat, spread(1.0_dp, 1, LANES))
     p = pressure(par, pressure_modulus(par, x%A, inc%direction), x%excess)
     do j = size(change), 1, -1
       associate (c => change(j))
-        d_p = pressure_change(par, x%A, inc%direction, x%excess, c%A, c%trace_direction, c%excess)
-        d_dev = c%dev
+        d_p = by%A * contract(x%A, c%A) + by%trace * c%trace_direction + by%excess * c%excess
+        if (par%elastic_strain > 0) d_dev = c%dev
         if (.not. par%elastic_strain > 0) call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
         if (c%mod_D > 0) then
           by_mod_D = add_identity(d_dev, -d_p)

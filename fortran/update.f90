@@ -47,7 +47,8 @@ contains
     inc = to_increment(strain, spin, status == OK)
     moves = inc%mod_D > 0
     if (present(tangent)) then
-      call deform_with_tangent(par, old, merge_strain(old, strain, moves), spin, new, status, seeds, tangent)
+      if (.not. all(moves)) inc = to_increment(merge_strain(old, strain, moves), spin, status == OK)
+      call deform_with_tangent(par, old, inc, new, status, seeds, tangent)
     else if (par%spin == BEFORE) then
       call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
     else
@@ -59,20 +60,18 @@ contains
   end subroutine update
 
   !> The tangent is that of the exact update, whatever the method; of a small strain at D = 0.
-  pure subroutine deform_with_tangent(par, old, strain, spin, new, status, seeds, tangent)
+  pure subroutine deform_with_tangent(par, old, inc, new, status, seeds, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
-    real(dp), intent(in) :: strain(LANES, 6), spin(LANES, 3)
+    type(increment), intent(in) :: inc
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
     real(dp), intent(in) :: seeds(:, :)
     real(dp), intent(out) :: tangent(:, :, :)
     type(material_parameters) :: exactly
-    type(increment) :: inc
     type(variation), allocatable :: change(:)
     integer :: exact_status(LANES), i
 
-    inc = to_increment(strain, spin, status == OK)
     exactly = par
     exactly%method = EXACT
     exact_status = status
@@ -100,8 +99,6 @@ contains
     logical :: fresh(LANES)
     integer :: k
 
-    merged = strain
-    if (all(moves)) return
     fresh = modulus(old%direction) <= 0
     do k = 1, 6
       direction = old%direction(:, k)
@@ -228,12 +225,8 @@ contains
     integer, intent(inout) :: status(LANES)
     type(variation), intent(inout), optional :: change(:)
     real(dp), dimension(LANES) :: e_end, crossing
-    integer :: k
 
-    do k = 1, LANES
-      if (status(k) == OK) x%e(k) = log(x%phi(k) / par%phic)
-      if (status(k) /= OK) x%e(k) = 1
-    end do
+    x%e = log(merge(x%phi / par%phic, 2.0_dp, status == OK))
     e_end = x%e - inc%tr_D
     crossing = 1
     where (x%e * e_end < 0) crossing = x%e / inc%tr_D
@@ -339,7 +332,7 @@ contains
       call imply(par, inc, x%phi, step%A(:, :, N_NODES + 1), step%excess(:, N_NODES + 1))
     else
       call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
-      call projections_at(par, step%fabric, N_NODES, step%t, step%y(:, :N_NODES), step%A_S)
+      call projections_at(par, step%fabric, step%t, step%y(:, :N_NODES), step%A_S)
       if (par%elastic_strain > 0) then
         do i = 1, N_NODES
           call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
