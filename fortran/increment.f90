@@ -31,18 +31,19 @@ module granumat_increment
   type, public :: inner_solution
     real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 6), w(LANES, 3)
     type(fabric_solution) :: fabric
-    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, A_S, growth, integrand
-    real(dp) :: y(LANES, N_NODES + 1)
+    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, y, A_S, growth, integrand
+    real(dp) :: y_end(LANES)
     real(dp) :: A(LANES, 6, N_NODES + 1), excess(LANES, N_NODES + 1)    ! at the nodes only with e_r > 0
   end type inner_solution
 
 contains
 
   !> The increment of engineering strains and a spin; none in lanes that are not wanted.
-  pure function to_increment(strain, spin, wanted) result(inc)
+  pure subroutine to_increment(strain, spin, wanted, inc)
     real(dp), intent(in) :: strain(LANES, 6), spin(LANES, 3)
     logical, intent(in) :: wanted(LANES)
-    type(increment) :: inc
+    type(increment), intent(out) :: inc
+    real(dp) :: inverse(LANES)
     integer :: i
 
     inc%D(:, :3) = strain(:, :3)
@@ -54,9 +55,10 @@ contains
       inc%spin(i, :) = 0
     end do
     inc%mod_D = safe_modulus(inc%D)
-    inc%direction = times(1 / max(inc%mod_D, tiny(1.0_dp)), inc%D)
+    inverse = 1 / max(inc%mod_D, tiny(1.0_dp))
+    inc%direction = times(inverse, inc%D)
     inc%S_hat = deviator(inc%direction)
     inc%tr_D = trace(inc%D)
-  end function to_increment
+  end subroutine to_increment
 
 end module granumat_increment

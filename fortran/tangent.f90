@@ -11,18 +11,19 @@ module granumat_tangent
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
   use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, change_stress_deviator
-  use granumat_tensors, only: LANES, add_identity, contract, corotate, modulus, rotate, rotation, rotation_change, times, trace
+  use granumat_tensors, only: LANES, contract, corotate, modulus, rotate, rotation, rotation_change, times, trace
   implicit none (type, external)
   private
   public :: basis, by_components, start_variations, vary_inner_step, stress_changes
 
   integer, parameter, public :: N_SEEDS = 9    ! 11 22 33, engineering shears 12 13 23, spins 12 13 23
   integer, parameter :: AT_END = N_NODES + 1   ! behind the nodes of an inner step
-  real(dp), parameter :: TANGENT_REST = 1.0e-11_dp  ! first neglected term of the fabric's change over the first one
+  real(dp), parameter :: TANGENT_REST = 1.0e-10_dp  ! first neglected term of the fabric's change over the first one
 
   !> Changes with one seed, or with |D|: of the whole increment, then of what has evolved so far.
   type, public :: variation
     real(dp) :: S(6), w(3), tr_D, mod_D
+    logical :: reaches_fabric
     real(dp) :: S_hat(LANES, 6), mod_S(LANES), trace_direction(LANES)
     real(dp) :: A(LANES, 6), dev(LANES, 6), excess(LANES), log_phi(LANES)
   end type variation
@@ -98,6 +99,7 @@ contains
           c%S = [seeds(:3, j) - c%tr_D / 3, seeds(4:6, j) / 2]
           c%w = seeds(7:, j)
         end if
+        c%reaches_fabric = c%mod_D > 0 .or. any(abs(c%S) > 0) .or. any(abs(c%w) > 0)
         c%mod_S = inverse_S * project(inc%S_hat, c%S)
         do k = 1, 6
           c%S_hat(:, k) = inverse * (c%S(k) - c%mod_D * inc%S_hat(:, k))
@@ -119,29 +121,27 @@ contains
   end function project
 
   !> Carries the changes over an inner step.
-  pure subroutine vary_inner_step(par, inc, before, step, change)
+  pure subroutine vary_inner_step(par, inc, dev, step, change)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    type(internal), intent(in) :: before                 ! where the inner step started
+    real(dp), intent(in) :: dev(LANES, 6)                ! deviatoric stress before the step
     type(inner_solution), intent(in) :: step
     type(variation), intent(inout) :: change(:)
     type(shared_factors) :: factors
     type(relaxation_factors) :: relaxation
-    real(dp) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
+    real(dp) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)
     integer :: j
 
     if (par%closure /= CRITICAL) call share_factors(par, step, factors)
-    if (par%elastic_strain > 0) call share_relaxation(par, inc, before%dev, step, relaxation)
+    if (par%elastic_strain > 0) call share_relaxation(par, inc, dev, step, relaxation)
     do j = 1, size(change)
       if (par%closure == CRITICAL) then
         call vary_implied(par, step, change(j), d_A, d_excess)
       else
         call vary_microstructure(par, step, factors, change(j), d_A, d_excess)
       end if
-      if (par%elastic_strain > 0) call vary_relaxation(par, inc, step, relaxation, d_A, d_excess, change(j))
-      change(j)%A = d_A(:, :, AT_END)
-      change(j)%excess = d_excess(:, AT_END)
       change(j)%log_phi = change(j)%log_phi - step%share * change(j)%tr_D
+      if (par%elastic_strain > 0) call vary_relaxation(par, inc, step, relaxation, d_A, d_excess, change(j))
     end do
   end subroutine vary_inner_step
 
@@ -167,7 +167,8 @@ contains
       do i = 1, N_NODES
         kernel(:, i) = INTEGRAL(i, m) * step%growth(:, i) * step%dt(:, i) * decay
       end do
-      factors%inverse_y(:, m) = 1 / step%y(:, m)
+      if (m < AT_END) factors%inverse_y(:, m) = 1 / step%y(:, m)
+      if (m == AT_END) factors%inverse_y(:, m) = 1 / step%y_end
       factors%by_excess(:, m) = decay
       factors%by_mod_S(:, m) = 0
       factors%by_mod_D(:, m) = -t * step%excess(:, m)
@@ -194,8 +195,8 @@ contains
     real(dp), intent(in) :: t(LANES), kernel(LANES, N_NODES)
     integer, intent(in) :: terms
     real(dp), intent(out) :: weight(LANES, 0:MAX_TERMS), by_y(LANES, 0:MAX_TERMS)
-    real(dp) :: power(LANES), before(LANES, N_NODES), next(LANES), by_dot_y(LANES, N_NODES), by_place(LANES, N_NODES)
-    logical :: needed(LANES)
+    real(dp), dimension(LANES, N_NODES) :: before, by_dot_y, by_place
+    real(dp), dimension(LANES) :: power, next, needed, total
     integer :: i, k
 
     do i = 1, N_NODES
@@ -207,64 +208,87 @@ contains
     weight(:, 0) = 1
     by_y(:, 0) = 0
     do k = 1, terms
-      by_y(:, k) = 0
+      needed = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= TANGENT_REST)     ! by the lane, whatever others need
+      total = 0
       do i = 1, N_NODES
         next = before(:, i) * step%t(:, i) * (1.0_dp / k)
-        by_y(:, k) = by_y(:, k) + by_dot_y(:, i) * before(:, i) + by_place(:, i) * next
+        total = total + by_dot_y(:, i) * before(:, i) + by_place(:, i) * next
         before(:, i) = next
       end do
+      by_y(:, k) = needed * total
       power = power * t * (1.0_dp / k)
-      needed = step%fabric%bound(:, k - 1) >= TANGENT_REST           ! by the lane itself, whatever the others need
-      weight(:, k) = merge(power, 0.0_dp, needed)
-      by_y(:, k) = merge(by_y(:, k), 0.0_dp, needed)
+      weight(:, k) = needed * power
     end do
   end subroutine weigh_series
 
-  !> Changes of A and of Z2 - Zc (at the end; with e_r > 0 at the nodes too).
+  !> Changes of A and of Z2 - Zc: at the end, and with e_r > 0 at the nodes.
   pure subroutine vary_microstructure(par, step, factors, change, d_A, d_excess)
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
     type(shared_factors), intent(in) :: factors
-    type(variation), intent(in) :: change
-    real(dp), intent(out) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
-    real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS), d_y(LANES)
-    integer :: k, m
+    type(variation), intent(inout) :: change
+    real(dp), intent(out) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)
+    real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
+    integer :: m
 
-    do m = factors%first, AT_END
-      d_excess(:, m) = factors%by_excess(:, m) * change%excess + factors%by_mod_D(:, m) * change%mod_D &
-        + factors%by_mod_S(:, m) * change%mod_S + factors%by_tr_D(:, m) * change%tr_D + factors%by_log_phi(:, m) * change%log_phi
-    end do
-    d_A(:, :, factors%first:) = 0
-    if (.not. (change%mod_D > 0 .or. any(abs(change%S) > 0) .or. any(abs(change%w) > 0))) return      ! only the volume changes
-    call vary_fabric(par, step%fabric, factors%terms, step%share, change%A, change%S, change%mod_D, change%w, B, y)
-    do m = factors%first, AT_END
+    if (change%reaches_fabric) then
+      call vary_fabric(par, step%fabric, factors%terms, step%share, change%A, change%S, change%mod_D, change%w, B, y)
+      do m = factors%first, N_NODES
+        call vary_at(m, d_A(:, :, m), d_excess(:, m))
+      end do
+      call vary_at(AT_END, change%A, change%excess)
+    else
+      d_A(:, :, factors%first:) = 0
+      do m = factors%first, N_NODES
+        d_excess(:, m) = vary_excess(m)
+      end do
+      change%excess = vary_excess(AT_END)
+    end if
+
+  contains
+
+    pure subroutine vary_at(m, d_A, d_excess)
+      integer, intent(in) :: m
+      real(dp), intent(out) :: d_A(LANES, 6), d_excess(LANES)
+      real(dp) :: d_y(LANES), total(LANES)
+      integer :: k
+
+      total = vary_excess(m)
       do k = 1, factors%terms
-        d_excess(:, m) = d_excess(:, m) + factors%by_y(:, k, m) * y(:, k)
+        total = total + factors%by_y(:, k, m) * y(:, k)
       end do
-      call sum_series(factors%terms, factors%weight(:, :, m), B, y, d_A(:, :, m), d_y)
+      d_excess = total
+      call sum_series(factors%terms, factors%weight(:, :, m), B, y, d_A, d_y)
       do k = 1, 6
-        d_A(:, k, m) = factors%inverse_y(:, m) * (d_A(:, k, m) - d_y * step%A(:, k, m))
+        d_A(:, k) = factors%inverse_y(:, m) * (d_A(:, k) - d_y * step%A(:, k, m))
       end do
-    end do
+    end subroutine vary_at
+
+    !> What does not come by way of the fabric.
+    pure function vary_excess(m) result(d_excess)
+      integer, intent(in) :: m
+      real(dp) :: d_excess(LANES)
+      d_excess = factors%by_excess(:, m) * change%excess + factors%by_mod_D(:, m) * change%mod_D &
+        + factors%by_mod_S(:, m) * change%mod_S + factors%by_tr_D(:, m) * change%tr_D + factors%by_log_phi(:, m) * change%log_phi
+    end function vary_excess
+
   end subroutine vary_microstructure
 
   !> Changes of what the critical closure implies: A = lambda S^, Z2 = f(phi).
   pure subroutine vary_implied(par, step, change, d_A, d_excess)
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
-    type(variation), intent(in) :: change
-    real(dp), intent(out) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
-    real(dp) :: t(LANES, AT_END), phi(LANES, AT_END)
+    type(variation), intent(inout) :: change
+    real(dp), intent(out) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)
     integer :: i
 
-    t(:, :N_NODES) = step%t
-    t(:, AT_END) = 1
-    phi(:, :N_NODES) = step%phi
-    phi(:, AT_END) = step%phi_end
-    do i = 1, AT_END
+    do i = 1, N_NODES
       d_A(:, :, i) = par%lambda * change%S_hat
-      d_excess(:, i) = excess_slope(par, phi(:, i) - par%phic) * phi(:, i) * (change%log_phi - t(:, i) * step%share * change%tr_D)
+      d_excess(:, i) = excess_slope(par, step%phi(:, i) - par%phic) * step%phi(:, i) &
+        * (change%log_phi - step%t(:, i) * step%share * change%tr_D)
     end do
+    change%A = par%lambda * change%S_hat
+    change%excess = excess_slope(par, step%phi_end - par%phic) * step%phi_end * (change%log_phi - step%share * change%tr_D)
   end subroutine vary_implied
 
   pure subroutine share_relaxation(par, inc, dev, step, factors)
@@ -302,21 +326,18 @@ contains
     type(increment), intent(in) :: inc
     type(inner_solution), intent(in) :: step
     type(relaxation_factors), intent(in) :: factors
-    real(dp), intent(in) :: d_A(LANES, 6, AT_END), d_excess(LANES, AT_END)
+    real(dp), intent(in) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)     ! at the nodes
     type(variation), intent(inout) :: change
     real(dp), dimension(LANES, 6) :: d_dev, d_model
-    real(dp) :: d_p(LANES), d_ratio(LANES)
+    real(dp) :: d_ratio(LANES)
     integer :: i
 
     d_dev = times(factors%decay, rotate(factors%R(:, :, :, 0), change%dev))
-    do i = 1, AT_END
-      associate (by => factors%by(i))
-        d_p = by%A * contract(step%A(:, :, i), d_A(:, :, i)) + by%trace * change%trace_direction + by%excess * d_excess(:, i)
-      end associate
-      call change_stress_deviator(par, step%A(:, :, i), inc%S_hat, factors%p(:, i), factors%unit(:, :, i), d_A(:, :, i), &
-        change%S_hat, d_p, d_model)
+    do i = 1, N_NODES
+      d_model = vary_model(i, d_A(:, :, i), d_excess(:, i))
       d_dev = d_dev + times(factors%weights(:, i), rotate(factors%R(:, :, :, i), d_model))
     end do
+    d_dev = d_dev + times(factors%weights(:, AT_END), vary_model(AT_END, change%A, change%excess))
     if (change%mod_D > 0) then
       d_ratio = step%share * change%mod_D / par%elastic_strain
       d_dev = d_dev - times(d_ratio, factors%turned(:, :, 0))
@@ -332,6 +353,19 @@ contains
       end do
     end if
     change%dev = d_dev
+
+  contains
+
+    pure function vary_model(i, d_A, d_excess) result(d_model)
+      integer, intent(in) :: i
+      real(dp), intent(in) :: d_A(LANES, 6), d_excess(LANES)
+      real(dp) :: d_model(LANES, 6), d_p(LANES)
+      associate (by => factors%by(i), A => step%A(:, :, i))
+        d_p = by%A * contract(A, d_A) + by%trace * change%trace_direction + by%excess * d_excess
+        call change_stress_deviator(par, A, inc%S_hat, factors%p(:, i), factors%unit(:, :, i), d_A, change%S_hat, d_p, d_model)
+      end associate
+    end function vary_model
+
   end subroutine vary_relaxation
 
   !> Change of a tensor turned by w with a change share d_w.
@@ -365,13 +399,15 @@ contains
         d_p = by%A * contract(x%A, c%A) + by%trace * c%trace_direction + by%excess * c%excess
         if (par%elastic_strain > 0) d_dev = c%dev
         if (.not. par%elastic_strain > 0) call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
+        do k = 1, 3
+          d_dev(:, k) = d_dev(:, k) - d_p
+        end do
         if (c%mod_D > 0) then
-          by_mod_D = add_identity(d_dev, -d_p)
+          by_mod_D = d_dev
         else
           d_mod_D = (project(inc%direction, c%S) + trace(inc%direction) * (c%tr_D / 3)) / 2
-          tangent(:, :, j) = add_identity(d_dev, -d_p)
           do k = 1, 6
-            tangent(:, k, j) = tangent(:, k, j) + d_mod_D * by_mod_D(:, k)
+            tangent(:, k, j) = d_dev(:, k) + d_mod_D * by_mod_D(:, k)
           end do
         end if
       end associate

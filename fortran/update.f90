@@ -16,7 +16,7 @@ module granumat_update
   use granumat_increment, only: increment, inner_solution, internal, to_increment
   use granumat_rates, only: imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
   use granumat_methods, only: integrate_by_method, MAX_STEPS
-  use granumat_tangent, only: variation, start_variations, stress_changes, vary_inner_step
+  use granumat_tangent, only: N_SEEDS, variation, start_variations, stress_changes, vary_inner_step
   implicit none (type, external)
   private
   public :: update
@@ -44,10 +44,10 @@ contains
 
     status = check_state(old)
     where (status == OK .and. .not. (sum(abs(strain), 2) + sum(abs(spin), 2) <= huge(1.0_dp))) status = NOT_FINITE
-    inc = to_increment(strain, spin, status == OK)
+    call to_increment(strain, spin, status == OK, inc)
     moves = inc%mod_D > 0
     if (present(tangent)) then
-      if (.not. all(moves)) inc = to_increment(merge_strain(old, strain, moves), spin, status == OK)
+      if (.not. all(moves)) call to_increment(merge_strain(old, strain, moves), spin, status == OK, inc)
       call deform_with_tangent(par, old, inc, new, status, seeds, tangent)
     else if (par%spin == BEFORE) then
       call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
@@ -69,15 +69,15 @@ contains
     real(dp), intent(in) :: seeds(:, :)
     real(dp), intent(out) :: tangent(:, :, :)
     type(material_parameters) :: exactly
-    type(variation), allocatable :: change(:)
-    integer :: exact_status(LANES), i
+    type(variation) :: change(N_SEEDS + 1)
+    integer :: exact_status(LANES), i, n
 
     exactly = par
     exactly%method = EXACT
     exact_status = status
-    allocate (change(size(seeds, 2) + 1))
-    call start_variations(inc, seeds, change)
-    call deform(exactly, old, inc, new, exact_status, change, tangent)
+    n = size(seeds, 2) + 1
+    call start_variations(inc, seeds, change(:n))
+    call deform(exactly, old, inc, new, exact_status, change(:n), tangent)
     do i = 1, LANES
       if (exact_status(i) /= OK) tangent(i, :, :) = 0
     end do
@@ -242,8 +242,8 @@ contains
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
     type(variation), intent(inout), optional :: change(:)
-    type(internal) :: before
     real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, e_next, mod_A
+    real(dp) :: dev_before(LANES, 6)
     type(inner_solution) :: inner
     integer :: step
 
@@ -258,9 +258,9 @@ contains
       steps = rest * graded_rate(par, inc, x, mod_A, rate, e_end) / STEP_RATE
       next_rest = rest - rest / aint(1 + min(steps, real(MAX_STEPS, dp)))
       e_next = e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end)
-      if (present(change)) before = x
+      dev_before = x%dev
       call inner_step(par, inc, rest - next_rest, e_next, x, inner, status)
-      if (present(change)) call vary_inner_step(par, inc, before, inner, change)
+      if (present(change)) call vary_inner_step(par, inc, dev_before, inner, change)
       rest = merge(next_rest, 0.0_dp, status == OK)
       mod_A = modulus(x%A)
     end do
@@ -332,15 +332,15 @@ contains
       call imply(par, inc, x%phi, step%A(:, :, N_NODES + 1), step%excess(:, N_NODES + 1))
     else
       call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
-      call projections_at(par, step%fabric, step%t, step%y(:, :N_NODES), step%A_S)
+      call projections_at(par, step%fabric, step%t, step%y, step%A_S)
       if (par%elastic_strain > 0) then
         do i = 1, N_NODES
           call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
         end do
       end if
       one = 1
-      call fabric_at(step%fabric, one, step%A(:, :, N_NODES + 1), step%y(:, N_NODES + 1))
-      where (status == OK .and. .not. (step%y(:, N_NODES + 1) > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
+      call fabric_at(step%fabric, one, step%A(:, :, N_NODES + 1), step%y_end)
+      where (status == OK .and. .not. (step%y_end > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
         status = FABRIC_BLOWS_UP
       call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
         par%elastic_strain > 0, step%growth, step%integrand, step%excess)
