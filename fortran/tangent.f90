@@ -397,8 +397,13 @@ contains
     do j = size(change), 1, -1
       associate (c => change(j))
         d_p = by%A * contract(x%A, c%A) + by%trace * c%trace_direction + by%excess * c%excess
-        if (par%elastic_strain > 0) d_dev = c%dev
-        if (.not. par%elastic_strain > 0) call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
+        if (par%elastic_strain > 0) then
+          d_dev = c%dev
+        else if (c%reaches_fabric) then
+          call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
+        else
+          d_dev = times(d_p, unit)
+        end if
         do k = 1, 3
           d_dev(:, k) = d_dev(:, k) - d_p
         end do
