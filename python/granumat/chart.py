@@ -232,7 +232,7 @@ def _fastest(scenes):
     return "\n".join(lines)
 
 
-def _peers(scenes):
+def peers(scenes):
     """Markdown: the fastest of NumPy and of SciPy for every target, over exact."""
     lines = ["| scene | " + " | ".join(f"{peer}, {target:.0e}" for peer in ("NumPy", "SciPy") for target in TARGETS) + " |",
              "|---" * (1 + 2 * len(TARGETS)) + "|"]
@@ -253,7 +253,7 @@ def summary(scenes):
 
 The fastest of NumPy in the batch, and of SciPy point by point, to reach an error: time over exact's
 
-{_peers(scenes)}
+{peers(scenes)}
 
 Both faster and more accurate than exact: {"; ".join(beaten) or "nothing"}"""
 
