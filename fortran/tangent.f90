@@ -11,7 +11,8 @@ module granumat_tangent
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
   use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, change_stress_deviator
-  use granumat_tensors, only: LANES, contract, corotate, modulus, rotate, rotation, rotation_change, times, trace
+  use granumat_tensors, only: LANES, contract, corotate, modulus, rotate, rotation_change, small_rotation, times, times_spin, &
+    trace
   implicit none (type, external)
   private
   public :: basis, by_components, start_variations, vary_inner_step, stress_changes
@@ -308,11 +309,11 @@ contains
     factors%weights = relaxation_weights(ratio, u)
     factors%slopes = relaxation_weights_slope(ratio, u)
     factors%w(:, :, 0) = step%w
-    factors%R(:, :, :, 0) = rotation(step%w)
+    factors%R(:, :, :, 0) = small_rotation(step%w)
     factors%turned(:, :, 0) = times(factors%decay, rotate(factors%R(:, :, :, 0), dev))
     do i = 1, AT_END
-      factors%w(:, :, i) = spread(u(:, i), 2, 3) * step%w
-      factors%R(:, :, :, i) = rotation(factors%w(:, :, i))
+      factors%w(:, :, i) = times_spin(u(:, i), step%w)
+      factors%R(:, :, :, i) = small_rotation(factors%w(:, :, i))
       factors%p(:, i) = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
       factors%by(i) = pressure_slopes(par, step%A(:, :, i), inc%direction, step%excess(:, i))
       factors%unit(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
@@ -387,12 +388,13 @@ contains
     type(internal), intent(in) :: x
     type(variation), intent(in) :: change(:)             ! (n + 1), the last with |D|
     real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, n)
-    real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6), by_mod_D(LANES, 6), d_mod_D(LANES)
+    real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6), by_mod_D(LANES, 6), d_mod_D(LANES), one(LANES)
     type(pressure_change) :: by
     integer :: j, k
 
+    one = 1
     by = pressure_slopes(par, x%A, inc%direction, x%excess)
-    unit = stress_deviator(par, x%A, inc%S_hat, spread(1.0_dp, 1, LANES))
+    unit = stress_deviator(par, x%A, inc%S_hat, one)
     p = pressure(par, pressure_modulus(par, x%A, inc%direction), x%excess)
     do j = size(change), 1, -1
       associate (c => change(j))

@@ -5,8 +5,8 @@ module granumat_tensors
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: trace, deviator, contract, modulus, safe_modulus, times, product_symmetric, rotation, rotation_change, rotate, &
-    corotate, add_identity, strain_and_spin
+  public :: trace, deviator, contract, modulus, safe_modulus, times, product_symmetric, rotation, small_rotation, rotation_change, &
+    rotate, corotate, add_identity, strain_and_spin, times_spin
 
   integer, parameter, public :: LANES = 8     ! one vector of AVX-512, two of AVX2, four of SSE2
 
@@ -96,21 +96,37 @@ contains
     dot_T(:, 6) = w(:, 3) * (T(:, 3) - T(:, 2)) - w(:, 1) * T(:, 5) - w(:, 2) * T(:, 4)
   end function corotate
 
-  !> exp(W) by Rodrigues' formula.
+  !> exp(W)
   pure function rotation(w) result(R)
     real(dp), intent(in) :: w(LANES, 3)
-    real(dp) :: R(LANES, 3, 3), angle(LANES), first(LANES), second(LANES), x(LANES), y(LANES), z(LANES)
+    real(dp) :: R(LANES, 3, 3), angle(LANES), first(LANES), second(LANES)
 
-    x = -w(:, 3)                                    ! axial vector
-    y = w(:, 2)
-    z = -w(:, 1)
-    angle = sqrt(x**2 + y**2 + z**2)
+    angle = sqrt(w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2)
     first = 1
     second = 0.5_dp
     where (angle > 0)
       first = sin(angle) / angle
       second = (sin(angle / 2) / (angle / 2))**2 / 2
     end where
+    R = rotation_of(w, first, second)
+  end function rotation
+
+  !> The same for |w| <= 0.2, in vector instructions.
+  pure function small_rotation(w) result(R)
+    real(dp), intent(in) :: w(LANES, 3)
+    real(dp) :: R(LANES, 3, 3), second(LANES), third(LANES)
+    call spin_series(w, second, third)
+    R = rotation_of(w, 1 - third * (w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2), second)
+  end function small_rotation
+
+  !> Rodrigues' formula: I + first W + second W W, first = sin(a)/a and second = (1 - cos(a))/a^2 of the angle a.
+  pure function rotation_of(w, first, second) result(R)
+    real(dp), intent(in) :: w(LANES, 3), first(LANES), second(LANES)
+    real(dp) :: R(LANES, 3, 3), x(LANES), y(LANES), z(LANES)
+
+    x = -w(:, 3)                                    ! axial vector
+    y = w(:, 2)
+    z = -w(:, 1)
     R(:, 1, 1) = 1 - second * (y**2 + z**2)
     R(:, 2, 2) = 1 - second * (x**2 + z**2)
     R(:, 3, 3) = 1 - second * (x**2 + y**2)
@@ -120,19 +136,37 @@ contains
     R(:, 3, 1) = second * x * z - first * y
     R(:, 2, 3) = second * y * z - first * x
     R(:, 3, 2) = second * y * z + first * x
-  end function rotation
+  end function rotation_of
 
-  !> The spin v with dR = V R for R = rotation(w) and a change d_w; for |w| <= 1/2, by its series.
+  !> The spin v with dR = V R for R = small_rotation(w) and a change d_w.
   pure function rotation_change(w, d_w) result(v)
     real(dp), intent(in) :: w(LANES, 3), d_w(LANES, 3)
-    real(dp) :: v(LANES, 3), square(LANES), first(LANES), second(LANES), once(LANES, 3)
+    real(dp) :: v(LANES, 3), second(LANES), third(LANES), once(LANES, 3)
 
-    square = w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2
-    first = (1 - square / 12 * (1 - square / 30 * (1 - square / 56 * (1 - square / 90)))) / 2        ! (1 - cos a)/a^2
-    second = (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110)))) / 6      ! (a - sin a)/a^3
+    call spin_series(w, second, third)
     once = commute(w, d_w)
-    v = d_w + spread(first, 2, 3) * once + spread(second, 2, 3) * commute(w, once)
+    v = d_w + times_spin(second, once) + times_spin(third, commute(w, once))
   end function rotation_change
+
+  !> (1 - cos(a))/a^2 and (a - sin(a))/a^3 for the angle a of w, to round-off for a <= 0.2.
+  pure subroutine spin_series(w, second, third)
+    real(dp), intent(in) :: w(LANES, 3)
+    real(dp), intent(out) :: second(LANES), third(LANES)
+    real(dp) :: square(LANES)
+    square = w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2
+    second = (1 - square / 12 * (1 - square / 30 * (1 - square / 56 * (1 - square / 90)))) / 2
+    third = (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110)))) / 6
+  end subroutine spin_series
+
+  !> s W
+  pure function times_spin(s, w) result(p)
+    real(dp), intent(in) :: s(LANES), w(LANES, 3)
+    real(dp) :: p(LANES, 3)
+    integer :: k
+    do k = 1, 3
+      p(:, k) = s * w(:, k)
+    end do
+  end function times_spin
 
   !> V W - W V of two spins, as a spin.
   pure function commute(v, w) result(c)

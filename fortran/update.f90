@@ -6,7 +6,7 @@ module granumat_update
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, times
+  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, small_rotation, times, times_spin
   use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
   use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric
@@ -367,9 +367,9 @@ contains
     u(:, :N_NODES) = 1 - step%t
     u(:, N_NODES + 1) = 0
     weights = relaxation_weights(ratio, u)
-    dev = times(exp(-ratio), rotate(rotation(step%w), dev))
+    dev = times(exp(-ratio), rotate(small_rotation(step%w), dev))
     do i = 1, N_NODES + 1
-      dev = dev + times(weights(:, i), rotate(rotation(spread(u(:, i), 2, 3) * step%w), &
+      dev = dev + times(weights(:, i), rotate(small_rotation(times_spin(u(:, i), step%w)), &
         model_deviator(par, inc, step%A(:, :, i), step%excess(:, i))))
     end do
   end subroutine relax
