@@ -2,7 +2,7 @@
 !!
 !! What hosts hand over differs, so little of it is trusted: NDI, NSHR, CMNAME, the energies, STRAN, TIME and TEMP are never
 !! read, DROT and DFGRD only if PROPS asks for them, STRESS only where a state starts. The stress of the last increment is
-!! kept in STATEV, unrotated as all there, whether or not the host has rotated the STRESS that it hands in.
+!! kept in STATEV, where no host rotates anything, so it does not matter whether the STRESS that is handed in has been rotated.
 module granumat_umat
   use, intrinsic :: ieee_arithmetic, only: ieee_is_finite
   use granumat_kinds, only: dp
@@ -14,7 +14,7 @@ module granumat_umat
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_stress, only: evaluate
   use granumat_tangent, only: N_SEEDS
-  use granumat_tensors, only: LANES
+  use granumat_tensors, only: LANES, rotate
   use granumat_update, only: update
   implicit none (type, external)
   private
@@ -28,7 +28,7 @@ module granumat_umat
   integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress deviator relaxes; 0: the paper
   integer, parameter :: P_PHI = 6               !! initial volume fraction
   integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
-  integer, parameter :: P_SPIN = 8              !! 0 none, 1 from DROT, 2 from DFGRD0 and DFGRD1
+  integer, parameter :: P_SPIN = 8              !! 0 none, 1 from DROT, 2 from DFGRD0 and DFGRD1, 3 as 2 with STRESS unrotated
   integer, parameter :: P_CALIBRATION = 9       !! source of a4: 0 table 1, 1 text, 2 figure 16
   integer, parameter :: N_PROPS = 9, N_PROPS_NEEDED = 6     ! those left out at the end are 0
 
@@ -42,7 +42,7 @@ module granumat_umat
   integer, parameter :: S_STATUS = 23           !! 0 done, else why the last call failed
   integer, parameter :: N_STATEV = 23
 
-  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2
+  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3
 
   real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
   real(dp), parameter :: ROTATION_ERROR = 1.0e-6_dp        ! of R^T R - I: hosts that store single precision reach 1e-7
@@ -68,8 +68,9 @@ contains
     type(material_parameters) :: par
     type(material_state) :: old, new(1)
     type(lane_state) :: x, x_new
-    real(dp) :: given(N_PROPS), strain(6), spin(3), seeds(N_SEEDS, 6), tangent(LANES, 6, 6)
+    real(dp) :: given(N_PROPS), strain(6), spin(3), seeds(N_SEEDS, 6), tangent(LANES, 6, 6), R(3, 3)
     integer :: lane_status(LANES), n, j
+    logical :: unrotated
 
     n = size(stress)
     call read_properties(props, given, par, status)
@@ -77,21 +78,34 @@ contains
     if (status == OK) call read_increment(nint(given(P_SPIN)), dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
     if (status == OK) call read_state(par, given, stress, statev, old, status)
     if (status == OK) then
+      unrotated = nint(given(P_SPIN)) == SPIN_UNROTATED
       seeds = 0
       do j = 1, n
         seeds(j, j) = 1
       end do
+      if (unrotated) then
+        R = polar_rotation(dfgrd1)
+        do j = 1, n
+          seeds(:6, j) = turned_strain(R, seeds(:6, j))
+        end do
+      end if
       call gather([old], x)
       call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, seeds(:, :n), tangent(:, :, :n))
       status = lane_status(1)
     end if
     if (status == OK) then
       call scatter(x_new, new)
-      stress = given(P_STIFFNESS) * new(1)%stress(:n)
-      ddsdde = given(P_STIFFNESS) * tangent(1, :n, :n)
       if (.not. statev(S_SENTINEL) > 0) statev(S_WORK) = 0
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
       call write_state(new(1), statev)
+      if (unrotated) then
+        new(1)%stress = turned(transpose(R), new(1)%stress)
+        do j = 1, n
+          tangent(1, :, j) = turned(transpose(R), tangent(1, :, j))
+        end do
+      end if
+      stress = given(P_STIFFNESS) * new(1)%stress(:n)
+      ddsdde = given(P_STIFFNESS) * tangent(1, :n, :n)
     else
       call stiffness_of_failure(props, ddsdde)
     end if
@@ -129,7 +143,7 @@ contains
     status = BAD_PARAMETERS
     if (.not. all(ieee_is_finite(given))) return
     if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
-      .and. is_choice(given(P_SPIN), SPIN_DFGRD) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
+      .and. is_choice(given(P_SPIN), SPIN_UNROTATED) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
       .and. given(P_STIFFNESS) > 0 .and. given(P_MU) >= 0 .and. given(P_MU) <= 1)) return
     par = parameters_from_friction(given(P_MU), nint(given(P_CLOSURE)), nint(given(P_CONTACT)), nint(given(P_CALIBRATION)))
     par%elastic_strain = given(P_ELASTIC_STRAIN)
@@ -167,7 +181,7 @@ contains
     L = 0
     found = spin_from == SPIN_NONE
     if (spin_from == SPIN_DROT .and. present(drot)) call rotation_logarithm(drot, L, found)
-    if (spin_from == SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) then
+    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) then
       call gradient_logarithm(dfgrd0, dfgrd1, L, found)
       strain = [L(1, 1), L(2, 2), L(3, 3), L(1, 2) + L(2, 1), L(1, 3) + L(3, 1), L(2, 3) + L(3, 2)]
     end if
@@ -235,6 +249,37 @@ contains
       if (change < ROOT_CONVERGED) exit
     end do
   end subroutine take_root
+
+  !> R of F = R U: N. J. Higham, SIAM J. Sci. Stat. Comput. 7 (1986) 1160-1174.
+  pure function polar_rotation(F) result(R)
+    real(dp), intent(in) :: F(3, 3)
+    real(dp) :: R(3, 3), next(3, 3), change
+    integer :: k
+
+    R = F
+    do k = 1, MAX_ITERATIONS
+      next = (R + transpose(inverse(R))) / 2
+      change = maxval(abs(next - R))
+      R = next
+      if (change < ROOT_CONVERGED) exit
+    end do
+  end function polar_rotation
+
+  !> R T R^T of one tensor.
+  pure function turned(R, T) result(new)
+    real(dp), intent(in) :: R(3, 3), T(6)
+    real(dp) :: new(6), lanes_new(LANES, 6)
+    lanes_new = rotate(spread(R, 1, LANES), spread(T, 1, LANES))
+    new = lanes_new(1, :)
+  end function turned
+
+  !> R E R^T of strains with engineering shears.
+  pure function turned_strain(R, strain) result(new)
+    real(dp), intent(in) :: R(3, 3), strain(6)
+    real(dp) :: new(6)
+    new = turned(R, [strain(:3), strain(4:) / 2])
+    new(4:) = 2 * new(4:)
+  end function turned_strain
 
   pure function identity() result(I)
     real(dp) :: I(3, 3)
