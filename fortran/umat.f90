@@ -4,7 +4,6 @@
 !! read, DROT and DFGRD only if PROPS asks for them, STRESS only where a state starts. The stress of the last increment is
 !! kept in STATEV, where no host rotates anything, so it does not matter whether the STRESS that is handed in has been rotated.
 module granumat_umat
-  use, intrinsic :: ieee_arithmetic, only: ieee_is_finite
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
     PLANE_STRESS
@@ -121,7 +120,7 @@ contains
 
     unit = 1
     if (size(props) >= P_STIFFNESS) then
-      if (props(P_STIFFNESS) > 0 .and. ieee_is_finite(props(P_STIFFNESS))) unit = props(P_STIFFNESS)
+      if (props(P_STIFFNESS) > 0 .and. props(P_STIFFNESS) <= huge(unit)) unit = props(P_STIFFNESS)
     end if
     ddsdde = 0
     do j = 1, size(ddsdde, 1)
@@ -141,7 +140,7 @@ contains
     if (size(props) < N_PROPS_NEEDED .or. size(props) > N_PROPS) return
     given(:size(props)) = props
     status = BAD_PARAMETERS
-    if (.not. all(ieee_is_finite(given))) return
+    if (.not. all(abs(given) <= huge(given))) return
     if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
       .and. is_choice(given(P_SPIN), SPIN_UNROTATED) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
       .and. given(P_STIFFNESS) > 0 .and. given(P_MU) >= 0 .and. given(P_MU) <= 1)) return
@@ -348,7 +347,7 @@ contains
     handed(:size(stress)) = stress / given(P_STIFFNESS)
     p = given(P_PRESSURE) / given(P_STIFFNESS)
     if (.not. abs(p) > 0) p = -sum(handed(:3)) / 3
-    if (.not. all(ieee_is_finite(handed))) status = NOT_FINITE
+    if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
     if (p < 0 .or. .not. (given(P_PHI) > 0 .and. given(P_PHI) < 1) &
       .or. par%closure == CRITICAL .and. abs(given(P_PRESSURE)) > 0) status = BAD_INITIAL_STATE
     x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=given(P_PHI))
