@@ -45,6 +45,7 @@ module granumat_umat
 
   real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
   real(dp), parameter :: ROTATION_ERROR = 1.0e-6_dp        ! of R^T R - I: hosts that store single precision reach 1e-7
+  real(dp), parameter :: NO_STRAIN = 1.0e-13_dp            ! below it a strain has no direction, only the host's round-off
   real(dp), parameter :: LARGEST_ANGLE = 3.0_dp            ! below pi, where the logarithm of a rotation is not unique
   real(dp), parameter :: SERIES_FROM = 0.2_dp              ! largest entry of f - I from which its logarithm is a short series
   integer, parameter :: SERIES_TERMS = 12                  ! (SERIES_FROM/2 * 3/2)^(2 * 12) is far below round-off
@@ -184,6 +185,7 @@ contains
       call gradient_logarithm(dfgrd0, dfgrd1, L, found)
       strain = [L(1, 1), L(2, 2), L(3, 3), L(1, 2) + L(2, 1), L(1, 3) + L(3, 1), L(2, 3) + L(3, 2)]
     end if
+    if (all(abs(strain) < NO_STRAIN)) strain = 0
     spin = [L(1, 2) - L(2, 1), L(1, 3) - L(3, 1), L(2, 3) - L(3, 2)] / 2
     if (size(dstran) == 4) then
       strain(5:6) = 0
@@ -197,12 +199,14 @@ contains
     real(dp), intent(in) :: R(3, 3)
     real(dp), intent(out) :: W(3, 3)
     logical, intent(out) :: found
-    real(dp) :: sine, angle
+    real(dp) :: sine, cosine, angle
 
     W = (R - transpose(R)) / 2
     sine = norm2([W(1, 2), W(1, 3), W(2, 3)])
-    angle = atan2(sine, (R(1, 1) + R(2, 2) + R(3, 3) - 1) / 2)
-    found = maxval(abs(matmul(transpose(R), R) - identity())) < ROTATION_ERROR .and. angle < LARGEST_ANGLE
+    cosine = (R(1, 1) + R(2, 2) + R(3, 3) - 1) / 2
+    angle = atan2(sine, cosine)
+    found = all(abs(matmul(transpose(R), R) - identity()) < ROTATION_ERROR) .and. angle < LARGEST_ANGLE &
+      .and. abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR      ! which a reflection does not fulfil
     if (sine > 0) W = W * (angle / sine)
   end subroutine rotation_logarithm
 
@@ -218,7 +222,7 @@ contains
     change = matmul(F1 - F0, reciprocal)                 ! f - I, without cancellation
     f = identity() + change
     do roots = 0, MAX_ROOTS
-      found = maxval(abs(change)) <= SERIES_FROM
+      found = all(abs(change) <= SERIES_FROM)
       if (found .or. roots == MAX_ROOTS) exit
       call take_root(f)
       change = f - identity()
@@ -308,9 +312,9 @@ contains
     type(material_state), intent(out) :: x
     integer, intent(inout) :: status
 
-    if (.not. abs(statev(S_SENTINEL)) > 0) then
+    if (abs(statev(S_SENTINEL)) <= 0) then
       call start(par, given, stress, x, status)
-    else if (.not. abs(statev(S_SENTINEL) - 1) > 0) then
+    else if (abs(statev(S_SENTINEL) - 1) <= 0) then
       x%stress = statev(S_STRESS:S_STRESS + 5)
       x%fabric = statev(S_FABRIC:S_FABRIC + 5)
       x%direction = statev(S_DIRECTION:S_DIRECTION + 5)
