@@ -5,7 +5,7 @@ program umat_cost
   use, intrinsic :: iso_fortran_env, only: dp => real64
   implicit none (type, external)
   external :: umat, elastic
-  integer, parameter :: N_POINTS = 256, N_CALLS = 40, N_REPEATS = 9, N_STATEV = 23
+  integer, parameter :: N_POINTS = 256, N_CALLS = 10, N_REPEATS = 9, N_STATEV = 23
   real(dp), parameter :: PROPS(9) = [0.5_dp, 1.0e6_dp, 3.0_dp, 0.0_dp, 0.0_dp, 0.60_dp, 0.0_dp, 1.0_dp, 0.0_dp]
   real(dp) :: stress(6, N_POINTS), statev(N_STATEV, N_POINTS), strain(6, N_POINTS), drot(3, 3, N_POINTS)
   real(dp) :: seconds(N_REPEATS, 2)
