@@ -9,13 +9,13 @@ from scipy.linalg import expm
 
 from granumat import Material
 from granumat.material import status_message
-from umat_host import (EYE, FABRIC, LIBRARY, N_STATEV, ORDER, PHI, STATUS, WORK, Guarded, call, engineering, properties, statev_of)
+from umat_host import EYE, FABRIC, LIBRARY, N_STATEV, ORDER, PHI, STATUS, WORK, Guarded, call, engineering, properties, statev_of
 
 UNIT = 1.0e6
 PROPS = properties(stiffness=UNIT, elastic_strain=0.01, pressure=5e3)
 DSTRAN = np.array([0.001, -0.002, 0.0005, 0.003, -0.001, 0.002])
-NEVER_READ = ("sse", "spd", "scd", "rpl", "ddsddt", "drplde", "drpldt", "stran", "time", "dtime", "temp", "dtemp", "predef", "dpred",
-              "cmname", "ndi", "nshr", "coords", "celent", "noel", "npt", "layer", "kspt", "kstep", "kinc")
+NEVER_READ = ("sse", "spd", "scd", "rpl", "ddsddt", "drplde", "drpldt", "stran", "time", "dtime", "temp", "dtemp", "predef",
+              "dpred", "cmname", "ndi", "nshr", "coords", "celent", "noel", "npt", "layer", "kspt", "kstep", "kinc")
 
 
 def started(props=PROPS):
