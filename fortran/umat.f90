@@ -145,7 +145,7 @@ contains
     if (.not. all(abs(given) <= huge(given))) return
     if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
       .and. is_choice(given(P_SPIN), SPIN_UNROTATED) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
-      .and. given(P_STIFFNESS) > 0 .and. given(P_MU) >= 0 .and. given(P_MU) <= 1)) return
+      .and. given(P_STIFFNESS) > 0)) return
     par = parameters_from_friction(given(P_MU), nint(given(P_CLOSURE)), nint(given(P_CONTACT)), nint(given(P_CALIBRATION)))
     par%elastic_strain = given(P_ELASTIC_STRAIN)
     if (are_valid(par)) status = OK
@@ -188,10 +188,6 @@ contains
     end if
     if (all(abs(strain) < NO_STRAIN)) strain = 0
     spin = [L(1, 2) - L(2, 1), L(1, 3) - L(3, 1), L(2, 3) - L(3, 2)] / 2
-    if (size(dstran) == 4) then
-      strain(5:6) = 0
-      spin(2:3) = 0
-    end if
     if (.not. found) status = BAD_DEFORMATION
   end subroutine read_increment
 
