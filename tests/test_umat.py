@@ -249,7 +249,7 @@ HOSTS = [(Abaqus, 1), (Abaqus, 2), (OldStress, 1), (OldStress, 2), (Unrotated, 0
 
 
 @pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
-@pytest.mark.parametrize("angle", [30, 90])
+@pytest.mark.parametrize("angle", [30, 90, 170])
 @pytest.mark.parametrize("host, spin", HOSTS)
 def test_shear_after_a_rigid_rotation_is_shear_turned(host, spin, angle, elastic_strain):
     straight, turned = host(spin, elastic_strain), host(spin, elastic_strain)
