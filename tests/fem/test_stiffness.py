@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from dolfinx import mesh
-from granumat import Material, fem
 from mpi4py import MPI
+
+from granumat import Material, fem
 
 
 def body(cell):

@@ -5,7 +5,8 @@ import logging
 
 import basix
 import numpy as np
-from dolfinx import fem
+import ufl
+from dolfinx import fem, mesh
 from petsc4py import PETSc
 
 if np.issubdtype(PETSc.ScalarType, np.complexfloating):
@@ -24,19 +25,19 @@ def _quietly():
 
 
 @_quietly()
-def vector_space(mesh, degree):
+def vector_space(body, degree):
     """Continuous Lagrange displacements of a degree."""
     if hasattr(fem, "functionspace"):
-        return fem.functionspace(mesh, ("Lagrange", degree, (mesh.geometry.dim,)))
-    return fem.VectorFunctionSpace(mesh, ("Lagrange", degree))
+        return fem.functionspace(body, ("Lagrange", degree, (body.geometry.dim,)))
+    return fem.VectorFunctionSpace(body, ("Lagrange", degree))
 
 
 @_quietly()
-def cell_space(mesh, size):
+def cell_space(body, size):
     """Fields of `size` numbers that are constant in each cell."""
     if hasattr(fem, "functionspace"):
-        return fem.functionspace(mesh, ("DG", 0) if size == 1 else ("DG", 0, (size,)))
-    return fem.FunctionSpace(mesh, ("DG", 0)) if size == 1 else fem.VectorFunctionSpace(mesh, ("DG", 0), dim=size)
+        return fem.functionspace(body, ("DG", 0) if size == 1 else ("DG", 0, (size,)))
+    return fem.FunctionSpace(body, ("DG", 0)) if size == 1 else fem.VectorFunctionSpace(body, ("DG", 0), dim=size)
 
 
 def cell_nodes(space):
@@ -57,8 +58,8 @@ class ReferenceCell:
         slopes are derivatives along the facet's own reference coordinates.
     """
 
-    def __init__(self, mesh, degree):
-        cell = getattr(basix.CellType, mesh.topology.cell_type.name)
+    def __init__(self, body, degree):
+        cell = getattr(basix.CellType, body.topology.cell_type.name)
         element = basix.create_element(basix.ElementFamily.P, cell, degree, basix.LagrangeVariant.gll_warped)
         product = cell in (basix.CellType.quadrilateral, basix.CellType.hexahedron)
         points, self.weights = basix.make_quadrature(cell, 2 * degree if product else max(1, 2 * degree - 2))
@@ -73,3 +74,17 @@ class ReferenceCell:
             origin, sides = vertices[corners[0]], vertices[corners[1:dimension]] - vertices[corners[0]]
             table = element.tabulate(1, origin + places.reshape(len(weights), -1) @ sides)[..., 0]
             self.facets.append((table[0], np.einsum("kpn,sk->psn", table[1:], sides), weights))
+
+
+def mesh_of(comm, cell, cells, positions):
+    """The mesh of cells (cells, vertices) and positions (vertices, d), given on rank 0; `cell` is the name of their shape."""
+    d = positions.shape[1]
+    if comm.rank > 0:
+        cells, positions = cells[:0], positions[:0]
+    if hasattr(basix, "ufl"):
+        domain = ufl.Mesh(basix.ufl.element("Lagrange", cell, 1, shape=(d,)))
+    else:
+        domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell(cell), 1))
+    with _quietly():
+        return mesh.create_mesh(comm, cells=np.asarray(cells, np.int64), x=np.asarray(positions, float),
+                                **{"domain" if not hasattr(basix, "ufl") else "e": domain})

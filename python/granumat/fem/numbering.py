@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 
 from ..material import refuse
 from .conditions import Displacement, Periodic, Tied
+from .errors import in_words
 
 GIVEN = -1                         # the label of a component whose value is prescribed
 NEAR = 1e-8                        # distance to a periodic partner, relative to the size of the body
@@ -97,7 +98,7 @@ class Numbering:
         mine = found[start:start + len(nodes)]
         if (mine == -2).any():
             missing = wanted[(mine == -2).any(axis=1)][0]
-            faults.append(f"Periodic: there is no node at {tuple(round(float(value), 9) for value in missing)}, a partner's position")
+            faults.append(f"Periodic: there is no node at {in_words(missing)}, a partner's position")
         self.labels[nodes] = np.where(self.labels[nodes] == GIVEN, GIVEN, mine)
 
     def given(self, t):

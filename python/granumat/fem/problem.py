@@ -12,6 +12,7 @@ from ..errors import MaterialError
 from ..material import STATE, is_number, refuse, status_message
 from ._compat import ReferenceCell, cell_nodes, vector_space
 from .conditions import Displacement, Periodic, Pressure, Tied, Traction
+from .errors import in_words
 from .numbering import GIVEN, Numbering
 from .system import System
 
@@ -112,6 +113,8 @@ class Problem:
         Accumulated 2 integral abs(S) ds, and integral of tr D.
     last : Trial or None
         The increment accepted last.
+    next_increment : float or None
+        The increment of pseudo-time that is to be tried next, where the ones before say so.
 
     Raises
     ------
@@ -155,14 +158,15 @@ class Problem:
         self._given = self._numbering.labels == GIVEN
         self._turned_cells = np.flatnonzero(self._numbering.turned[self._nodes].any(axis=1))
 
-        self.t, self.last, self._last_duration = 0.0, None, None
+        self.t, self.last, self._last_duration, self.next_increment = 0.0, None, None, None
         self.displacement = np.zeros_like(self.positions)
         points = self.cells * len(self._element.weights)
         self.states = np.empty(points, STATE).view(np.recarray)
         self.states[:] = state(self.point_positions()) if callable(state) else state
         self.shear_strain, self.volume_strain = np.zeros(points), np.zeros(points)
         self._loads = self._dead_loads(gravity)
-        self._pressures = [(condition, self._facets(condition.where)) for condition in conditions if isinstance(condition, Pressure)]
+        self._pressures = [(condition, self._facets(condition.where)) for condition in self.conditions
+                           if isinstance(condition, Pressure)]
 
     # ---- the mesh --------------------------------------------------------------------------------------------------
 
@@ -230,7 +234,7 @@ class Problem:
                 yield cells, table
 
     def _pressure_loads(self, x, t, stiffness=None):
-        """Nodal forces (cells, nodes per cell, d) of the pressures at positions x; their derivative is subtracted from stiffness."""
+        """Nodal forces (cells, nodes per cell, d) of the pressures at positions x; stiffness loses their derivative."""
         forces = np.zeros_like(x)
         for condition, pairs in self._pressures:
             pressure = condition.value(t) if callable(condition.value) else condition.value
@@ -311,14 +315,18 @@ class Problem:
         trial = Trial(self.t + duration, u)
         x, du = self._at_cells(self.positions + self.displacement), self._at_cells(u)
         gradients, trial.volumes, status = self._kinematics(x, du)
-        failed = [ELEMENT_FAILURES[status.max()]] if self.cells and status.any() else []
+        failed = []
+        if status.any():
+            first = int(np.flatnonzero(status)[0])
+            failed = [f"{ELEMENT_FAILURES[status[first]]} in the cell at {in_words(x[first].mean(axis=0))}"]
         trial.gradients = gradients.reshape(-1, 3, 3)
         if not failed:
             try:
                 trial.states = self.material.update(self.states, trial.gradients)
             except MaterialError as error:
                 trial.states = error.states
-                failed = [status_message(error.status[error.status != 0][0])]
+                first = int(np.flatnonzero(error.status)[0])
+                failed = [f"{status_message(error.status[first])} at {in_words(self.point_positions()[first])}"]
         failures = [reason for part in self.comm.allgather(failed) for reason in part]
         if failures:
             trial.failure = failures[0]
