@@ -24,8 +24,8 @@ module granumat_coordination
     -0.00355514968579568316_dp, 0.00673550059453815552_dp, -0.014190694931141143_dp, 0.0869637112843634643_dp, &
     0.173927422568726929_dp], [N_NODES + 1, N_NODES]))
 
-  integer :: j
-  real(dp), parameter :: INVERSE_FACTORIAL(2:11) = [(1 / gamma(real(j + 1, dp)), j = 2, 11)]
+  real(dp), parameter :: INVERSE_FACTORIAL(2:11) = &
+    1 / real([2, 6, 24, 120, 720, 5040, 40320, 362880, 3628800, 39916800], dp)
 
 contains
 
