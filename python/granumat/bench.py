@@ -18,7 +18,7 @@ from .material import STATE, Material, arithmetic
 INCREMENTS = 1000
 SHEAR = -1.0                      # reversed from a steady state
 REPEATS = 7
-ROUNDS = 15
+ROUNDS = 300
 PHI = 0.60
 
 
@@ -135,28 +135,28 @@ def _least(actions, clock=time.thread_time, rounds=ROUNDS):
     return [min(times) for times in seconds]
 
 
-def print_batch(n=200_000):
-    """Cost per point, as multiples of streaming its bytes and of its arithmetic, with the tangent, and on two threads."""
+def print_batch(n=2_000, streamed=200_000):
+    """Cost per point of a batch in the cache: as multiples of streaming bytes from memory and of arithmetic, with the tangent, on
+    two threads."""
     material = Material()
     states, gradient = random_batch(material, n)
     out = np.empty(n, STATE)
-    source, target = np.ones(n * BYTES // 16), np.empty(n * BYTES // 16)
-    rounds = 2_000_000
+    source, target = np.ones(streamed * BYTES // 16), np.empty(streamed * BYTES // 16)
+    operations = 2_000_000
     one = functools.partial(material.update, states, gradient, out=out)
-    update, tangent, spin, stream, multiply = _least([
+    update, tangent, spin = (seconds / n * 1e9 for seconds in _least([
         one,
         lambda: material.update_with_tangent(states, gradient, out=out),
-        lambda: material.update_with_tangent(states, gradient, spin=True, out=out),
-        lambda: np.copyto(target, source),
-        lambda: arithmetic(rounds)])
-    limit = OPERATIONS * multiply / arithmetic(rounds)
+        lambda: material.update_with_tangent(states, gradient, spin=True, out=out)]))
+    stream, multiply = _least([lambda: np.copyto(target, source), lambda: arithmetic(operations // 192)], rounds=50)
+    stream, multiply = stream / streamed * 1e9, multiply / operations * OPERATIONS * 1e9
     single, double = _least([one, functools.partial(one, threads=2)], time.perf_counter)
-    print(f"{n} points, random increments of shear strain up to {BATCH_SHEAR:g}, least of {ROUNDS}:")
-    print(f"  update               {update / n * 1e9:7.0f} ns per point: {update / stream:5.1f} x streaming its {BYTES} bytes, "
-          f"{update / n / limit:5.1f} x its {OPERATIONS} operations in registers")
-    print(f"  with tangent         {tangent / n * 1e9:7.0f} ns per point: {tangent / update:5.1f} x the update")
-    print(f"  by the spin too      {spin / n * 1e9:7.0f} ns per point: {spin / update:5.1f} x the update")
-    print(f"  update, two threads  {double / n * 1e9:7.0f} ns per point: {single / double:5.2f} x faster")
+    print(f"{n} points, random increments of shear strain up to {BATCH_SHEAR:g}, least of {ROUNDS}, per point:")
+    print(f"  update               {update:7.0f} ns: {update / stream:.1f} x streaming its {BYTES} bytes, "
+          f"{update / multiply:.1f} x its {OPERATIONS} operations in registers")
+    print(f"  with tangent         {tangent:7.0f} ns: {tangent / update:.1f} x the update")
+    print(f"  by the spin too      {spin:7.0f} ns: {spin / update:.1f} x the update")
+    print(f"  update, two threads  {double / n * 1e9:7.0f} ns: {single / double:.2f} x faster")
 
 
 def print_sizes(sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000)):
@@ -167,7 +167,7 @@ def print_sizes(sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000)):
         states, gradient = random_batch(material, min(n, 100_000))
         states, gradient = np.resize(states, n), np.resize(gradient, (n, 3, 3))
         out = np.zeros(n, STATE)
-        rounds = min(100, max(3, 2_000_000 // n))
+        rounds = min(100, max(3, 4_000_000 // n))
         [seconds] = _least([functools.partial(material.update, states, gradient, out=out)], rounds=rounds)
         print(f"  {n:>10} {seconds / n * 1e9:7.0f} ns")
 
