@@ -23,8 +23,8 @@ module granumat_coordination
     0.0126274626894047245_dp, -0.0278804286024708952_dp, 0.163036288715636536_dp, 0.352676757516271865_dp, &
     -0.00355514968579568316_dp, 0.00673550059453815552_dp, -0.014190694931141143_dp, 0.0869637112843634643_dp], [N_NODES, N_NODES]))
 
-  integer :: j
-  real(dp), parameter :: INVERSE_FACTORIAL(0:11) = [(1 / gamma(real(j + 1, dp)), j = 0, 11)]
+  real(dp), parameter :: INVERSE_FACTORIAL(0:11) = &
+    1 / real([1, 1, 2, 6, 24, 120, 720, 5040, 40320, 362880, 3628800, 39916800], dp)
 
 contains
 

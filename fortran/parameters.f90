@@ -4,7 +4,6 @@
 !! doi:10.1017/jfm.2011.251. Departs from the paper: a2 = +0.1 mu (table 1 prints -0.1; its text says that shear raises p).
 module granumat_parameters
   use, intrinsic :: iso_c_binding, only: c_double, c_int
-  use, intrinsic :: ieee_arithmetic, only: ieee_is_finite
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
@@ -147,7 +146,7 @@ contains
 
     constants = [real(dp) :: par%mu, par%a1, par%a2, par%a3, par%a4, par%b1, par%b2, par%b3, par%Zc, par%phic, par%c1, par%c2, &
       par%c3, par%d1, par%d2, par%d3, par%beta1, par%beta2, par%g, par%elastic_strain]
-    inside = ieee_is_finite(constants)
+    inside = abs(constants) <= huge(constants)
     where (inside) inside = (constants > RANGES%lower .and. constants < RANGES%upper) &
       .or. (RANGES%closed .and. constants >= RANGES%lower .and. constants <= RANGES%upper)
     faulty = .not. inside
@@ -157,7 +156,7 @@ contains
   pure function are_valid(par) result(valid)
     type(material_parameters), intent(in) :: par
     logical :: valid
-    valid = .not. any(faulty_constants(par)) .and. all(ieee_is_finite([par%chi, par%kappa, par%lambda, par%fabric_limit]))
+    valid = .not. any(faulty_constants(par)) .and. all(abs([par%chi, par%kappa, par%lambda, par%fabric_limit]) <= huge(1.0_dp))
     if (valid) valid = par%kappa > 0
     valid = valid .and. par%method >= EXACT .and. par%method <= BACKWARD_EULER .and. par%spin >= INSIDE .and. par%spin <= BEFORE &
       .and. par%method_tolerance > 0 .and. par%method_tolerance < 1

@@ -15,6 +15,11 @@ module granumat_status
   integer, parameter, public :: RESULT_NOT_FINITE = 8
   integer, parameter, public :: TARGET_NOT_REACHED = 9
   integer, parameter, public :: NOT_CONVERGED = 10
+  integer, parameter, public :: BAD_LAYOUT = 11
+  integer, parameter, public :: BAD_SENTINEL = 12
+  integer, parameter, public :: BAD_INITIAL_STATE = 13
+  integer, parameter, public :: BAD_DEFORMATION = 14
+  integer, parameter, public :: PLANE_STRESS = 15
 
   integer, parameter, public :: MESSAGE_LENGTH = 120
 
@@ -48,6 +53,16 @@ contains
       message = "the prescribed stress cannot be reached, however small the increment"
     case (NOT_CONVERGED)
       message = "Newton's method does not converge: the increment is too large for it"
+    case (BAD_LAYOUT)
+      message = "UMAT needs NTENS 6 or 4, NSTATV of at least 23 and NPROPS from 6 to 9"
+    case (BAD_SENTINEL)
+      message = "STATEV(1) is neither 0 (the state starts) nor 1 (it has): the states are not this material's"
+    case (BAD_INITIAL_STATE)
+      message = "initial state: phi must be in (0, 1), the pressure not negative, and 0 in PROPS for the critical closure"
+    case (BAD_DEFORMATION)
+      message = "DROT, or DFGRD0 and DFGRD1, that PROPS asks for are missing, no deformation, or turn by more than 3 in one step"
+    case (PLANE_STRESS)
+      message = "plane stress (NTENS 3): a material without cohesion bears no load with a principal stress of zero"
     case default
       message = "unknown status"
     end select

@@ -1,0 +1,403 @@
+!> The model as finite-element codes call it at a material point: UMAT in the convention of Abaqus, and SDVINI.
+!!
+!! What hosts hand over differs, so little of it is trusted: NDI, NSHR, CMNAME, the energies, STRAN, TIME and TEMP are never
+!! read, DROT and DFGRD only if PROPS asks for them, STRESS only where a state starts. The stress of the last increment is
+!! kept in STATEV, where no host rotates anything, so it does not matter whether the STRESS that is handed in has been rotated.
+module granumat_umat
+  use granumat_kinds, only: dp
+  use granumat_status, only: OK, NOT_FINITE, BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
+    PLANE_STRESS
+  use granumat_coordination, only: excess_coordination
+  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, CRITICAL, FIGURE_16, HERTZIAN, &
+    KINEMATIC
+  use granumat_state, only: lane_state, material_state, gather, scatter
+  use granumat_stress, only: evaluate
+  use granumat_tangent, only: N_SEEDS
+  use granumat_tensors, only: LANES, rotate
+  use granumat_update, only: update
+  implicit none (type, external)
+  private
+  public :: advance
+
+  ! What each number of PROPS and STATEV is. README and the decks repeat this table, a test compares them.
+  integer, parameter :: P_MU = 1                !! interparticle friction coefficient, 0 to 1
+  integer, parameter :: P_STIFFNESS = 2         !! stress unit: k/d (Hookean), k_Hz (Hertzian)
+  integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic
+  integer, parameter :: P_CONTACT = 4           !! 0 Hookean, 1 Hertzian
+  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress deviator relaxes; 0: the paper
+  integer, parameter :: P_PHI = 6               !! initial volume fraction
+  integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
+  integer, parameter :: P_SPIN = 8              !! 0 none, 1 from DROT, 2 from DFGRD0 and DFGRD1, 3 as 2 with STRESS unrotated
+  integer, parameter :: P_CALIBRATION = 9       !! source of a4: 0 table 1, 1 text, 2 figure 16
+  integer, parameter :: N_PROPS = 9, N_PROPS_NEEDED = 6     ! those left out at the end are 0
+
+  integer, parameter :: S_SENTINEL = 1          !! 0: the state starts from PROPS; 1: it has
+  integer, parameter :: S_FABRIC = 2            !! A 11 22 33 12 13 23
+  integer, parameter :: S_COORDINATION = 8      !! Z2
+  integer, parameter :: S_PHI = 9               !! volume fraction
+  integer, parameter :: S_DIRECTION = 10        !! D/abs(D) of the last strain, 11 22 33 12 13 23
+  integer, parameter :: S_STRESS = 16           !! stress over the stress unit, 11 22 33 12 13 23
+  integer, parameter :: S_WORK = 22             !! integral of stress : strain, in the unit of stress (trapezoidal rule)
+  integer, parameter :: S_STATUS = 23           !! 0 done, else why the last call failed
+  integer, parameter :: N_STATEV = 23
+
+  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3
+
+  real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
+  real(dp), parameter :: ROTATION_ERROR = 1.0e-6_dp        ! of R^T R - I: hosts that store single precision reach 1e-7
+  real(dp), parameter :: NO_STRAIN = 1.0e-13_dp            ! below it a strain has no direction, only the host's round-off
+  real(dp), parameter :: LARGEST_ANGLE = 3.0_dp            ! below pi, where the logarithm of a rotation is not unique
+  real(dp), parameter :: SERIES_FROM = 0.2_dp              ! largest entry of f - I from which its logarithm is a short series
+  integer, parameter :: SERIES_TERMS = 12                  ! (SERIES_FROM/2 * 3/2)^(2 * 12) is far below round-off
+  integer, parameter :: MAX_ROOTS = 8, MAX_ITERATIONS = 20
+  real(dp), parameter :: ROOT_CONVERGED = 1.0e-8_dp        ! the iteration converges quadratically: the next change is its square
+
+contains
+
+  !> One call: stress, state and consistent tangent after the increment. Where the status is not OK, stress and state are left
+  !! as they are, but for the status among them, and the tangent is the stress unit's identity.
+  subroutine advance(props, dstran, drot, dfgrd0, dfgrd1, stress, statev, ddsdde, status)
+    real(dp), intent(in) :: props(:)                     ! P_ above
+    real(dp), intent(in) :: dstran(:)                    ! (4) 11 22 33 12 or (6) ... 13 23, engineering shears
+    real(dp), intent(in), optional :: drot(3, 3)         ! rotation of the increment
+    real(dp), intent(in), optional :: dfgrd0(3, 3), dfgrd1(3, 3)   ! deformation gradients at its start and end
+    real(dp), intent(inout) :: stress(:)                 ! as dstran; tension positive
+    real(dp), intent(inout) :: statev(:)                 ! S_ above
+    real(dp), intent(out) :: ddsdde(:, :)                ! d stress_i / d strain_j
+    integer, intent(out) :: status
+    type(material_parameters) :: par
+    type(material_state) :: old, new(1)
+    type(lane_state) :: x, x_new
+    real(dp) :: given(N_PROPS), strain(6), spin(3), seeds(N_SEEDS, 6), tangent(LANES, 6, 6), R(3, 3)
+    integer :: lane_status(LANES), n, j
+    logical :: unrotated
+
+    n = size(stress)
+    call read_properties(props, given, par, status)
+    if (status == OK) status = layout_status(n, size(statev))
+    if (status == OK) call read_increment(nint(given(P_SPIN)), dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
+    if (status == OK) call read_state(par, given, stress, statev, old, status)
+    if (status == OK) then
+      unrotated = nint(given(P_SPIN)) == SPIN_UNROTATED
+      seeds = 0
+      do j = 1, n
+        seeds(j, j) = 1
+      end do
+      if (unrotated) then
+        R = polar_rotation(dfgrd1)
+        do j = 1, n
+          seeds(:6, j) = turned_strain(R, seeds(:6, j))
+        end do
+      end if
+      call gather([old], x)
+      call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, seeds(:, :n), tangent(:, :, :n))
+      status = lane_status(1)
+    end if
+    if (status == OK) then
+      call scatter(x_new, new)
+      if (.not. statev(S_SENTINEL) > 0) statev(S_WORK) = 0
+      statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
+      call write_state(new(1), statev)
+      if (unrotated) then
+        new(1)%stress = turned(transpose(R), new(1)%stress)
+        do j = 1, n
+          tangent(1, :, j) = turned(transpose(R), tangent(1, :, j))
+        end do
+      end if
+      stress = given(P_STIFFNESS) * new(1)%stress(:n)
+      ddsdde = given(P_STIFFNESS) * tangent(1, :n, :n)
+    else
+      call stiffness_of_failure(props, ddsdde)
+    end if
+    if (size(statev) >= N_STATEV) statev(S_STATUS) = status
+  end subroutine advance
+
+  !> stress = stress unit times strain.
+  pure subroutine stiffness_of_failure(props, ddsdde)
+    real(dp), intent(in) :: props(:)
+    real(dp), intent(out) :: ddsdde(:, :)
+    real(dp) :: unit
+    integer :: j
+
+    unit = 1
+    if (size(props) >= P_STIFFNESS) then
+      if (props(P_STIFFNESS) > 0 .and. props(P_STIFFNESS) <= huge(unit)) unit = props(P_STIFFNESS)
+    end if
+    ddsdde = 0
+    do j = 1, size(ddsdde, 1)
+      ddsdde(j, j) = merge(unit, unit / 2, j <= 3)
+    end do
+  end subroutine stiffness_of_failure
+
+  !> What PROPS say, 0 for those left out, and the material they make.
+  pure subroutine read_properties(props, given, par, status)
+    real(dp), intent(in) :: props(:)
+    real(dp), intent(out) :: given(N_PROPS)
+    type(material_parameters), intent(out) :: par
+    integer, intent(out) :: status
+
+    given = 0
+    status = BAD_LAYOUT
+    if (size(props) < N_PROPS_NEEDED .or. size(props) > N_PROPS) return
+    given(:size(props)) = props
+    status = BAD_PARAMETERS
+    if (.not. all(abs(given) <= huge(given))) return
+    if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
+      .and. is_choice(given(P_SPIN), SPIN_UNROTATED) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
+      .and. given(P_STIFFNESS) > 0 .and. given(P_MU) >= 0 .and. given(P_MU) <= 1)) return
+    par = parameters_from_friction(given(P_MU), nint(given(P_CLOSURE)), nint(given(P_CONTACT)), nint(given(P_CALIBRATION)))
+    par%elastic_strain = given(P_ELASTIC_STRAIN)
+    if (are_valid(par)) status = OK
+  end subroutine read_properties
+
+  !> Whether a number is one of 0, 1, ... last.
+  pure function is_choice(number, last) result(valid)
+    real(dp), intent(in) :: number
+    integer, intent(in) :: last
+    logical :: valid
+    valid = number >= 0 .and. number <= last .and. .not. abs(number - anint(number)) > 0
+  end function is_choice
+
+  pure function layout_status(ntens, nstatv) result(status)
+    integer, intent(in) :: ntens, nstatv
+    integer :: status
+    status = OK
+    if (nstatv < N_STATEV .or. .not. any(ntens == [3, 4, 6])) status = BAD_LAYOUT
+    if (ntens == 3) status = PLANE_STRESS
+  end function layout_status
+
+  !> Strain and spin of the increment: both are those of a velocity gradient that is constant over it.
+  pure subroutine read_increment(spin_from, dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
+    integer, intent(in) :: spin_from
+    real(dp), intent(in) :: dstran(:)
+    real(dp), intent(in), optional :: drot(3, 3), dfgrd0(3, 3), dfgrd1(3, 3)
+    real(dp), intent(out) :: strain(6), spin(3)
+    integer, intent(inout) :: status
+    real(dp) :: L(3, 3)
+    logical :: found
+
+    strain = 0
+    strain(:size(dstran)) = dstran
+    L = 0
+    found = spin_from == SPIN_NONE
+    if (spin_from == SPIN_DROT .and. present(drot)) call rotation_logarithm(drot, L, found)
+    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) then
+      call gradient_logarithm(dfgrd0, dfgrd1, L, found)
+      strain = [L(1, 1), L(2, 2), L(3, 3), L(1, 2) + L(2, 1), L(1, 3) + L(3, 1), L(2, 3) + L(3, 2)]
+    end if
+    if (all(abs(strain) < NO_STRAIN)) strain = 0
+    spin = [L(1, 2) - L(2, 1), L(1, 3) - L(3, 1), L(2, 3) - L(3, 2)] / 2
+    if (size(dstran) == 4) then
+      strain(5:6) = 0
+      spin(2:3) = 0
+    end if
+    if (.not. found) status = BAD_DEFORMATION
+  end subroutine read_increment
+
+  !> log R of a rotation.
+  pure subroutine rotation_logarithm(R, W, found)
+    real(dp), intent(in) :: R(3, 3)
+    real(dp), intent(out) :: W(3, 3)
+    logical, intent(out) :: found
+    real(dp) :: sine, cosine, angle
+
+    W = (R - transpose(R)) / 2
+    sine = norm2([W(1, 2), W(1, 3), W(2, 3)])
+    cosine = (R(1, 1) + R(2, 2) + R(3, 3) - 1) / 2
+    angle = atan2(sine, cosine)
+    found = all(abs(matmul(transpose(R), R) - identity()) < ROTATION_ERROR) .and. angle < LARGEST_ANGLE &
+      .and. abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR      ! which a reflection does not fulfil
+    if (sine > 0) W = W * (angle / sine)
+  end subroutine rotation_logarithm
+
+  !> log f of f = F1 F0^-1, by 2 artanh((f - I) (f + I)^-1) after as many square roots as that series needs.
+  pure subroutine gradient_logarithm(F0, F1, L, found)
+    real(dp), intent(in) :: F0(3, 3), F1(3, 3)
+    real(dp), intent(out) :: L(3, 3)
+    logical, intent(out) :: found
+    real(dp) :: f(3, 3), change(3, 3), X(3, 3), square(3, 3), reciprocal(3, 3)
+    integer :: roots, k
+
+    reciprocal = inverse(F0)
+    change = matmul(F1 - F0, reciprocal)                 ! f - I, without cancellation
+    f = identity() + change
+    do roots = 0, MAX_ROOTS
+      found = all(abs(change) <= SERIES_FROM)
+      if (found .or. roots == MAX_ROOTS) exit
+      call take_root(f)
+      change = f - identity()
+    end do
+    reciprocal = inverse(f + identity())
+    X = matmul(change, reciprocal)
+    square = matmul(X, X)
+    L = identity() / (2 * SERIES_TERMS + 1)
+    do k = SERIES_TERMS - 1, 0, -1
+      L = matmul(square, L) + identity() / (2 * k + 1)
+    end do
+    L = scale(matmul(X, L), roots + 1)
+  end subroutine gradient_logarithm
+
+  !> The square root of a matrix: E. D. Denman, A. N. Beavers, Appl. Math. Comput. 2 (1976) 63-94.
+  pure subroutine take_root(f)
+    real(dp), intent(inout) :: f(3, 3)
+    real(dp) :: reciprocal(3, 3), next(3, 3), change
+    integer :: k
+
+    reciprocal = identity()
+    do k = 1, MAX_ITERATIONS
+      next = (f + inverse(reciprocal)) / 2
+      reciprocal = (reciprocal + inverse(f)) / 2
+      change = maxval(abs(next - f))
+      f = next
+      if (change < ROOT_CONVERGED) exit
+    end do
+  end subroutine take_root
+
+  !> R of F = R U: N. J. Higham, SIAM J. Sci. Stat. Comput. 7 (1986) 1160-1174.
+  pure function polar_rotation(F) result(R)
+    real(dp), intent(in) :: F(3, 3)
+    real(dp) :: R(3, 3), next(3, 3), change
+    integer :: k
+
+    R = F
+    do k = 1, MAX_ITERATIONS
+      next = (R + transpose(inverse(R))) / 2
+      change = maxval(abs(next - R))
+      R = next
+      if (change < ROOT_CONVERGED) exit
+    end do
+  end function polar_rotation
+
+  !> R T R^T of one tensor.
+  pure function turned(R, T) result(new)
+    real(dp), intent(in) :: R(3, 3), T(6)
+    real(dp) :: new(6), lanes_new(LANES, 6)
+    lanes_new = rotate(spread(R, 1, LANES), spread(T, 1, LANES))
+    new = lanes_new(1, :)
+  end function turned
+
+  !> R E R^T of strains with engineering shears.
+  pure function turned_strain(R, strain) result(new)
+    real(dp), intent(in) :: R(3, 3), strain(6)
+    real(dp) :: new(6)
+    new = turned(R, [strain(:3), strain(4:) / 2])
+    new(4:) = 2 * new(4:)
+  end function turned_strain
+
+  pure function identity() result(I)
+    real(dp) :: I(3, 3)
+    I = reshape([1.0_dp, 0.0_dp, 0.0_dp, 0.0_dp, 1.0_dp, 0.0_dp, 0.0_dp, 0.0_dp, 1.0_dp], [3, 3])
+  end function identity
+
+  !> M^-1; not finite if there is none.
+  pure function inverse(M) result(N)
+    real(dp), intent(in) :: M(3, 3)
+    real(dp) :: N(3, 3)
+    integer :: j, a, b
+
+    do j = 1, 3                                          ! columns of the adjugate's transpose, cyclic
+      a = 1 + mod(j, 3)
+      b = 1 + mod(j + 1, 3)
+      N(j, 1) = M(2, a) * M(3, b) - M(2, b) * M(3, a)
+      N(j, 2) = M(3, a) * M(1, b) - M(3, b) * M(1, a)
+      N(j, 3) = M(1, a) * M(2, b) - M(1, b) * M(2, a)
+    end do
+    N = N / dot_product(M(:, 1), N(1, :))
+  end function inverse
+
+  !> The state in STATEV; where its sentinel is 0, the initial one.
+  pure subroutine read_state(par, given, stress, statev, x, status)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: given(N_PROPS), stress(:), statev(:)
+    type(material_state), intent(out) :: x
+    integer, intent(inout) :: status
+
+    if (abs(statev(S_SENTINEL)) <= 0) then
+      call start(par, given, stress, x, status)
+    else if (abs(statev(S_SENTINEL) - 1) <= 0) then
+      x%stress = statev(S_STRESS:S_STRESS + 5)
+      x%fabric = statev(S_FABRIC:S_FABRIC + 5)
+      x%direction = statev(S_DIRECTION:S_DIRECTION + 5)
+      x%coordination_number = statev(S_COORDINATION)
+      x%volume_fraction = statev(S_PHI)
+    else
+      status = BAD_SENTINEL
+    end if
+  end subroutine read_state
+
+  pure subroutine write_state(x, statev)
+    type(material_state), intent(in) :: x
+    real(dp), intent(inout) :: statev(:)
+
+    statev(S_SENTINEL) = 1
+    statev(S_STRESS:S_STRESS + 5) = x%stress
+    statev(S_FABRIC:S_FABRIC + 5) = x%fabric
+    statev(S_DIRECTION:S_DIRECTION + 5) = x%direction
+    statev(S_COORDINATION) = x%coordination_number
+    statev(S_PHI) = x%volume_fraction
+  end subroutine write_state
+
+  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept.
+  pure subroutine start(par, given, stress, x, status)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: given(N_PROPS), stress(:)
+    type(material_state), intent(out) :: x
+    integer, intent(inout) :: status
+    type(lane_state) :: lanes_x
+    type(material_state) :: started(1)
+    real(dp) :: p, handed(6), eta(LANES), f(LANES)
+
+    handed = 0
+    handed(:size(stress)) = stress / given(P_STIFFNESS)
+    p = given(P_PRESSURE) / given(P_STIFFNESS)
+    if (.not. abs(p) > 0) p = -sum(handed(:3)) / 3
+    if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
+    if (p < 0 .or. .not. (given(P_PHI) > 0 .and. given(P_PHI) < 1) &
+      .or. par%closure == CRITICAL .and. abs(given(P_PRESSURE)) > 0) status = BAD_INITIAL_STATE
+    x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=given(P_PHI))
+    if (status /= OK) return
+    f = excess_coordination(par, spread(given(P_PHI) - par%phic, 1, LANES))
+    if (p > 0) f = sqrt(merge(p**(2.0_dp / 3), p, par%contact == HERTZIAN) / par%a1)
+    x%coordination_number = par%Zc + f(1)
+    call gather([x], lanes_x)
+    call evaluate(par, lanes_x, eta)
+    call scatter(lanes_x, started)
+    x = started(1)
+    x%stress = x%stress + handed
+    x%stress(:3) = x%stress(:3) - sum(handed(:3)) / 3
+  end subroutine start
+
+end module granumat_umat
+
+!> UMAT. An argument that some hosts pass as a null pointer is declared optional: it arrives as an absent one.
+subroutine umat(stress, statev, ddsdde, sse, spd, scd, rpl, ddsddt, drplde, drpldt, stran, dstran, time, dtime, temp, dtemp, &
+    predef, dpred, cmname, ndi, nshr, ntens, nstatv, props, nprops, coords, drot, pnewdt, celent, dfgrd0, dfgrd1, noel, npt, &
+    layer, kspt, kstep, kinc)
+  use granumat_kinds, only: dp
+  use granumat_status, only: OK
+  use granumat_umat, only: advance, CUTBACK
+  implicit none (type, external)
+  integer, intent(in) :: ndi, nshr, ntens, nstatv, nprops, noel, npt, layer, kspt, kstep, kinc
+  real(dp), intent(inout) :: stress(ntens), statev(nstatv), ddsdde(ntens, ntens)
+  real(dp), intent(inout) :: sse, spd, scd, rpl, ddsddt(*), drplde(*), drpldt
+  real(dp), intent(in) :: stran(*), dstran(ntens), time(*), dtime, temp, dtemp, predef(*), dpred(*), props(nprops), coords(*)
+  character(len=*), intent(in) :: cmname
+  real(dp), intent(in), optional :: drot(3, 3), dfgrd0(3, 3), dfgrd1(3, 3)
+  real(dp), intent(inout), optional :: pnewdt
+  real(dp), intent(in) :: celent
+  integer :: status
+
+  call advance(props, dstran, drot, dfgrd0, dfgrd1, stress, statev, ddsdde, status)
+  if (status /= OK .and. present(pnewdt)) pnewdt = CUTBACK
+end subroutine umat
+
+!> SDVINI: every state is to start itself.
+subroutine sdvini(statev, coords, nstatv, ncrds, noel, npt, layer, kspt)
+  use granumat_kinds, only: dp
+  implicit none (type, external)
+  integer, intent(in) :: nstatv, ncrds, noel, npt, layer, kspt
+  real(dp), intent(out) :: statev(nstatv)
+  real(dp), intent(in) :: coords(*)
+
+  statev = 0
+end subroutine sdvini

@@ -1,0 +1,300 @@
+"""UMAT: the results are the material's, in whatever frame and layout a host works."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm, logm, polar
+
+import reference
+from granumat import Material, tensors
+from granumat.material import CALIBRATIONS, CLOSURES, CONTACTS
+from test_invariants import random_states
+from test_tangent import WEIGHTS, unit_gradients
+from umat_host import (DIRECTION, EYE, FABRIC, N_STATEV, PHI, STRESS, WORK, Z2, call, engineering, increment, properties,
+                       statev_of)
+
+UNIT = 2.5e6                                      # a stress unit, Pa
+
+
+def material_and_props(closure="full", contact="hookean", calibration="table-1", elastic_strain=0.0, mu=0.5, spin=0):
+    props = properties(mu, UNIT, CLOSURES.index(closure), CONTACTS.index(contact), elastic_strain, spin=spin,
+                       calibration=CALIBRATIONS.index(calibration))
+    return Material(mu, closure, contact, calibration=calibration, elastic_strain=elastic_strain), props
+
+
+def assert_is_state(result, state, rtol):
+    """A result's stress and STATEV against a record of granumat.STATE."""
+    np.testing.assert_allclose(result.stress / UNIT, state.stress, rtol=0, atol=rtol * 0.01)
+    np.testing.assert_allclose(result.statev[STRESS], state.stress, rtol=0, atol=rtol * 0.01)
+    np.testing.assert_allclose(result.statev[FABRIC], state.fabric, rtol=0, atol=rtol * 0.04)
+    np.testing.assert_allclose(result.statev[DIRECTION], state.direction, rtol=0, atol=rtol)
+    np.testing.assert_allclose(result.statev[[Z2, PHI]], [state.coordination_number, state.volume_fraction], rtol=rtol)
+
+
+@pytest.mark.parametrize("spin", [0, 1, 2])
+@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
+@pytest.mark.parametrize("closure", CLOSURES)
+def test_stress_state_and_tangent_are_the_materials(rng, closure, elastic_strain, spin):
+    material, props = material_and_props(closure, elastic_strain=elastic_strain, spin=spin)
+    states, gradients = random_states(rng, material, 40, 0.1, excess=(0.5, 1.2))
+    if spin == 0:
+        gradients = (gradients + np.swapaxes(gradients, 1, 2)) / 2
+    new, tangent = material.update_with_tangent(states, gradients)
+    for i in range(len(states)):
+        result = call(np.full(6, np.nan), statev_of(states[i]), props=props, **increment(gradients[i], spin))
+        assert result.status == 0
+        assert_is_state(result, new[i], 1e-11)
+        np.testing.assert_allclose(result.ddsdde / UNIT, tangent[i], rtol=0, atol=1e-10 * np.abs(tangent[i]).max())
+
+
+@pytest.mark.parametrize("calibration", CALIBRATIONS)
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize("mu", [0.0, 0.3, 1.0])
+def test_contact_calibration_and_friction_coefficient_are_the_materials(rng, mu, contact, calibration):
+    material, props = material_and_props("full", contact, calibration, mu=mu)
+    states, gradients = random_states(rng, material, 5, 0.1, excess=(0.5, 1.2))
+    gradients = (gradients + np.swapaxes(gradients, 1, 2)) / 2
+    for state, gradient in zip(states, gradients):
+        result = call(np.zeros(6), statev_of(state), props=props, **increment(gradient, 0))
+        assert_is_state(result, material.update(state, gradient), 1e-12)
+
+
+# ---- where a state starts --------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize("given", ["pressure in PROPS", "STRESS", "phi"])
+def test_a_state_starts_from_the_pressure_in_props_else_from_stress_else_from_phi(contact, given):
+    material, props = material_and_props(contact=contact)
+    stress = np.zeros(6)
+    if given == "phi":
+        state = material.state(0.60, material["Zc"] + material["beta1"] * np.sqrt(0.60 - material["phic"]))     # (4.9)
+    else:
+        state = material.isotropic(0.60, pressure=0.004)
+    if given == "pressure in PROPS":
+        props[6] = 0.004 * UNIT
+    if given == "STRESS":
+        stress[:3] = -0.004 * UNIT
+    assert_is_state(call(stress, np.zeros(N_STATEV), np.zeros(6), props), state, 1e-14)
+    gradient = np.zeros((3, 3))
+    gradient[0, 2] = gradient[2, 0] = 0.005
+    assert_is_state(call(stress, np.zeros(N_STATEV), engineering(gradient), props), material.update(state, gradient), 1e-12)
+
+
+def test_the_critical_closure_starts_from_phi_alone():
+    material, props = material_and_props("critical")
+    result = call(np.zeros(6), np.zeros(N_STATEV), np.zeros(6), props)
+    pressure = (material["a1"] + material["a2"] * material["kappa"]) * material["beta1"] ** 2 * (0.60 - material["phic"])   # (A 11)
+    np.testing.assert_allclose(result.stress / UNIT, -pressure * tensors.IDENTITY, rtol=0, atol=1e-16)
+
+
+def test_a_start_keeps_the_deviator_of_the_stress_handed_in():
+    _, props = material_and_props(elastic_strain=0.01)
+    stress = np.array([-1.2e4, -0.9e4, -0.9e4, 2e3, -1e3, 5e2])
+    result = call(stress, np.zeros(N_STATEV), np.zeros(6), props)
+    np.testing.assert_allclose(result.stress, stress, rtol=1e-13)
+    props[6] = 2.0e4
+    result = call(stress, np.zeros(N_STATEV), np.zeros(6), props)
+    np.testing.assert_allclose(result.stress, stress - 1e4 * tensors.IDENTITY, rtol=1e-13)
+
+
+def test_constants_left_out_at_the_end_are_zero():
+    _, props = material_and_props()
+    stress = np.array([-1e4, -1e4, -1e4, 0, 0, 0])
+    dstran = np.array([0.001, -0.002, 0, 0.003, 0, 0])
+    assert call(stress, np.zeros(N_STATEV), dstran, props[:6]).stress.tobytes() == \
+        call(stress, np.zeros(N_STATEV), dstran, props).stress.tobytes()
+
+
+# ---- NTENS -----------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("spin", [0, 1, 2, 3])
+def test_ntens_4_is_ntens_6_without_13_and_23_bit_for_bit(rng, spin):
+    _, props = material_and_props(elastic_strain=0.01, spin=spin)
+    statev_6, statev_4 = np.zeros(N_STATEV), np.zeros(N_STATEV)
+    stress_6, stress_4 = np.zeros(6), np.zeros(4)
+    old = EYE
+    for _ in range(10):
+        gradient = np.zeros((3, 3))
+        gradient[:2, :2] = 0.02 * rng.normal(size=(2, 2))
+        gradient[2, 2] = -gradient[0, 0] - gradient[1, 1]
+        new = expm(gradient) @ old
+        host = {"drot": expm((gradient - gradient.T) / 2), "dfgrd0": old, "dfgrd1": new}
+        six = call(stress_6, statev_6, engineering(gradient), props, **host)
+        four = call(stress_4, statev_4, engineering(gradient)[:4], props, **host)
+        assert six.status == four.status == 0
+        np.testing.assert_array_equal(four.stress, six.stress[:4])
+        np.testing.assert_array_equal(four.ddsdde, six.ddsdde[:4, :4])
+        np.testing.assert_array_equal(four.statev, six.statev)
+        np.testing.assert_array_equal(six.stress[4:], 0)
+        stress_6, statev_6, stress_4, statev_4, old = six.stress, six.statev, four.stress, four.statev, new
+
+
+# ---- the tangent -----------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("ntens", [6, 4])
+@pytest.mark.parametrize("spin", [0, 1, 2])
+@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
+def test_tangent_equals_differences_through_the_umat(rng, elastic_strain, spin, ntens):
+    material, props = material_and_props("full", elastic_strain=elastic_strain, spin=spin)
+    state = material.steady(0.60)
+    if ntens == 4:                                # sheared in 12 instead of 13
+        swap = np.array([0, 2, 1, 4, 3, 5])
+        for name in ("stress", "fabric", "direction"):
+            state[name] = state[name][swap]
+    state = Material(0.5).update(state, 0.01 * np.diag([1.0, -0.7, -0.3]))
+    gradient = 0.005 * rng.normal(size=(3, 3))
+    if ntens == 4:
+        gradient[:2, 2] = gradient[2, :2] = 0
+    gradient -= np.trace(gradient) / 3 * EYE
+
+    def stress(change):
+        arguments = increment(gradient + change, spin)
+        arguments["dstran"] = arguments["dstran"][:ntens]
+        result = call(np.zeros(ntens), statev_of(state), props=props, **arguments)
+        assert result.status == 0
+        return result
+
+    step = 1e-4
+    expected = np.zeros((ntens, ntens))
+    for j, unit in enumerate(unit_gradients()[:ntens]):
+        for m, weight in enumerate(WEIGHTS, 1):
+            expected[:, j] += weight / step * (stress(m * step * unit).stress - stress(-m * step * unit).stress)
+    np.testing.assert_allclose(stress(0).ddsdde, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    assert np.abs(expected - expected.T).max() > 1e-2 * np.abs(expected).max()             # a transposed one would be seen
+
+
+# ---- frames ----------------------------------------------------------------------------------------------------------
+
+def turn(q, components):
+    return tensors.six(q @ tensors.full(components) @ q.T)
+
+
+class Abaqus:
+    """STRESS rotated by DROT before the call, STATEV not; strain and DROT after Hughes & Winget from the midpoint gradient."""
+
+    def __init__(self, spin, elastic_strain=0.01):
+        _, self.props = material_and_props(elastic_strain=elastic_strain, spin=spin)
+        self.props[6] = 0.005 * UNIT
+        self.stress, self.statev, self.old = np.zeros(6), np.zeros(N_STATEV), EYE
+
+    def arguments(self, new):
+        step = new @ np.linalg.inv(self.old)
+        gradient = 2 * (step - EYE) @ np.linalg.inv(step + EYE)
+        half_spin = (gradient - gradient.T) / 4
+        drot = np.linalg.solve(EYE - half_spin, EYE + half_spin)
+        return turn(drot, self.stress), {"dstran": engineering(gradient), "drot": drot}
+
+    def move(self, new):
+        stress, arguments = self.arguments(new)
+        result = call(stress, self.statev, props=self.props, dfgrd0=self.old, dfgrd1=new, **arguments)
+        assert result.status == 0 and result.pnewdt == 1
+        self.stress, self.statev, self.old = result.stress, result.statev, new
+
+    def true_stress(self):
+        return self.stress / UNIT
+
+
+class OldStress(Abaqus):
+    """STRESS handed in as it was left."""
+
+    def arguments(self, new):
+        return self.stress, super().arguments(new)[1]
+
+
+class Unrotated(Abaqus):
+    """CalculiX's @ABAQUSNL_: all in the frame that R of F = R U leaves behind, yet DROT is the rotation."""
+
+    def arguments(self, new):
+        old_r, old_u = polar(self.old)
+        new_r, new_u = polar(new)
+        return self.stress, {"dstran": engineering(logm(new_u) - logm(old_u)), "drot": new_r @ old_r.T}
+
+    def true_stress(self):
+        return turn(polar(self.old)[0], self.stress) / UNIT
+
+
+class Warp3D(Unrotated):
+    """The same with DROT = I."""
+
+    def arguments(self, new):
+        return self.stress, super().arguments(new)[1] | {"drot": EYE}
+
+
+def rotation_about(axis, angle):
+    axis = np.array(axis) / np.linalg.norm(axis)
+    return expm(angle * np.cross(EYE, axis))
+
+
+HOSTS = [(Abaqus, 1), (Abaqus, 2), (OldStress, 1), (OldStress, 2), (Unrotated, 0), (Unrotated, 3), (Warp3D, 0), (Warp3D, 3)]
+
+
+@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
+@pytest.mark.parametrize("angle", [30, 90])
+@pytest.mark.parametrize("host, spin", HOSTS)
+def test_shear_after_a_rigid_rotation_is_shear_turned(host, spin, angle, elastic_strain):
+    straight, turned = host(spin, elastic_strain), host(spin, elastic_strain)
+    q = rotation_about([1, 2, 3], np.radians(angle))
+    shear = EYE + 0.05 * np.outer([1, 0, 0], [0, 0, 1])
+    for _ in range(4):
+        straight.move(shear @ straight.old)
+        turned.move(shear @ turned.old)
+    assert turned.statev.tobytes() == straight.statev.tobytes()
+    turned.move(q @ turned.old)
+    np.testing.assert_allclose(turned.true_stress(), turn(q, straight.true_stress()), rtol=0, atol=5e-15)
+    for _ in range(4):
+        straight.move(shear @ straight.old)
+        turned.move(q @ shear @ q.T @ turned.old)
+    np.testing.assert_allclose(turned.true_stress(), turn(q, straight.true_stress()), rtol=0, atol=1e-14)
+    frame = q if spin else EYE                    # STATEV of spin 0 stays in the host's frame
+    for name in (FABRIC, DIRECTION, STRESS):
+        np.testing.assert_allclose(turned.statev[name], turn(frame, straight.statev[name]), rtol=0, atol=1e-12)
+    assert np.abs(straight.true_stress()[4]) > 5e-4
+
+
+@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
+@pytest.mark.parametrize("host, spin", [(Abaqus, 2), (OldStress, 2), (Unrotated, 3), (Warp3D, 3)])
+def test_large_simple_shear_in_increments_of_an_eighth_is_exact(host, spin, elastic_strain):
+    increments = 32
+    gradient = 0.125 * np.outer([1, 0, 0], [0, 0, 1])
+    point = host(spin, elastic_strain)
+    for _ in range(increments):
+        point.move((EYE + gradient) @ point.old)
+    material, _ = material_and_props(elastic_strain=elastic_strain)
+    start = material.isotropic(0.60, pressure=0.005)
+    fabric, z2, phi, p, deviator = reference.integrate(
+        reference.constants(0.5) | {"elastic_strain": elastic_strain}, np.zeros((1, 3, 3)), start.coordination_number, 0.60,
+        increments * gradient[None], np.zeros((1, 3, 3)))
+    np.testing.assert_allclose(tensors.full(point.statev[FABRIC]), fabric[0], rtol=0, atol=1e-10 * material["kappa"])
+    np.testing.assert_allclose(point.statev[[Z2, PHI]], [z2[0], phi[0]], rtol=1e-10)
+    np.testing.assert_allclose(tensors.full(point.true_stress()), -p[0] * EYE - deviator[0], rtol=0, atol=1e-10 * p[0])
+
+
+def test_rotating_first_or_not_at_all_is_wrong_in_large_simple_shear():
+    """What the choice in PROPS is for: fabric errors over kappa at increments of 0.125."""
+    gradient = 0.125 * np.outer([1, 0, 0], [0, 0, 1])
+    points = {(host, spin): host(spin, 0.0) for host, spin in ((Abaqus, 2), (Abaqus, 1), (Abaqus, 0), (Unrotated, 0))}
+    before = Material(0.5, spin="before")
+    state = before.isotropic(0.60, pressure=0.005)
+    for _ in range(32):
+        for point in points.values():
+            point.move((EYE + gradient) @ point.old)
+        state = before.update(state, gradient)
+    exact = points.pop((Abaqus, 2)).statev[FABRIC]
+    errors = [np.abs(point.statev[FABRIC] - exact).max() / before["kappa"] for point in points.values()]
+    assert errors[0] < 2e-4                       # spin 1: Hughes & Winget's DROT is a rotation by 2 atan(gamma/4), not gamma/2
+    assert min(errors[1:]) > 1e-2
+    assert np.abs(state.fabric - exact).max() / before["kappa"] > 1e-2
+
+
+def test_work_is_the_integral_of_stress_power():
+    errors = []
+    for increments in (20, 40):
+        point = Abaqus(2)
+        gradient = 1.0 / increments * np.outer([1, 0, 0], [0, 0, 1])
+        fine, shear_stress = 0.0, [0.0]
+        for _ in range(increments):
+            point.move((EYE + gradient) @ point.old)
+            shear_stress.append(point.stress[4])
+        fine = np.trapezoid(shear_stress, dx=1 / increments) if hasattr(np, "trapezoid") else np.trapz(shear_stress, dx=1 / increments)
+        assert point.statev[WORK] == pytest.approx(fine, rel=1e-12)
+        errors.append(point.statev[WORK])
+    assert errors[0] == pytest.approx(errors[1], rel=1e-2)

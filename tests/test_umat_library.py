@@ -1,0 +1,164 @@
+"""UMAT: what is built, what it exports and keeps, and that others can link to it."""
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from granumat import Material
+from granumat.material import STATE
+from umat_host import BUILD
+
+ROOT = Path(__file__).parents[1]
+UMAT = (ROOT / "fortran" / "umat.f90").read_text()
+SOURCE = BUILD / "granumat_umat.f90"
+LINKING = ROOT / "demos" / "linking"
+
+
+def run(*command, **options):
+    """Output of a command that must succeed."""
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, **options)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def symbols(*options):
+    """(kind, name) of what nm prints."""
+    return {tuple(line.split()[-2:]) for line in run("nm", *options).splitlines() if len(line.split()) >= 2}
+
+
+@pytest.fixture(scope="module")
+def hosts_object(tmp_path_factory):
+    """The one source compiled on its own as a host would."""
+    directory = tmp_path_factory.mktemp("host")
+    run("gfortran", "-O1", "-c", SOURCE, "-o", "umat.o", cwd=directory)
+    return directory / "umat.o"
+
+
+@pytest.fixture(scope="module")
+def prefix(tmp_path_factory):
+    """An installation."""
+    directory = tmp_path_factory.mktemp("prefix")
+    run("cmake", "--install", BUILD, "--prefix", directory)
+    return directory
+
+
+def test_the_libraries_export_the_two_routines_and_the_alias_only():
+    assert {name for _, name in symbols("-D", "--defined-only", BUILD / "libGRANUMAT.so")} == {"umat_", "sdvini_", "GRANUMAT"}
+    static = symbols("--defined-only", "--extern-only", BUILD / "libgranumat_umat.a")
+    assert {name for kind, name in static if kind in "TDBRVWC"} == {"umat_", "sdvini_"}
+
+
+def test_nothing_is_kept_between_calls(hosts_object):
+    """No writable static data of ours: gfortran's constant type descriptors are all there is in .data and .bss."""
+    writable = {name for kind, name in symbols(hosts_object) if kind in "bBdDcCsSgG"}
+    assert {name for name in writable if "_MOD___vtab_" not in name and "_MOD___def_init_" not in name} == set()
+
+
+def test_the_source_has_no_save_common_input_output_or_stop():
+    code = re.sub(r'"[^"\n]*"', '""', re.sub(r"!.*", "", SOURCE.read_text().lower()))
+    forbidden = r"\b(save|common|stop|write|print|open|close|read|inquire|equivalence|data|entry|goto)\b"
+    assert re.findall(forbidden, code) == []
+    assert re.search(forbidden, "  write (*, *) x")
+
+
+def test_the_source_is_one_file_of_one_lane_in_lines_that_every_compiler_takes():
+    lines = SOURCE.read_text().splitlines()
+    assert lines[0] == "!DIR$ FREEFORM"
+    assert max(map(len, lines)) <= 132
+    assert sum("LANES = 1" in line for line in lines) == 1
+    used = set(re.findall(r"^ *use (granumat_\w+)", "\n".join(lines), re.M))
+    assert used <= set(re.findall(r"^module (\w+)", "\n".join(lines), re.M))
+
+
+def test_eight_threads_on_shuffled_points_equal_serial_bit_for_bit(hosts_object, tmp_path):
+    run("gfortran", "-fopenmp", ROOT / "tests" / "fortran" / "threads.f90", hosts_object, "-o", tmp_path / "threads")
+    assert run(tmp_path / "threads").split() == ["8", "threads,", "1000", "points:", "0", "differ"]
+
+
+# ---- tables ----------------------------------------------------------------------------------------------------------
+
+def table(prefix):
+    """(number, name, description) of PROPS (P) or STATEV (S) from the code."""
+    found = re.findall(rf"parameter :: {prefix}_(\w+) = (\d+) +!! (.*)", UMAT)
+    return [(int(number), name.lower(), words) for name, number, words in found]
+
+
+@pytest.mark.parametrize("prefix, length", [("P", 9), ("S", 23)])
+def test_readme_has_the_table_of_the_code(prefix, length):
+    readme = (ROOT / "README.md").read_text()
+    slots = table(prefix)
+    numbers = [number for number, _, _ in slots]
+    assert numbers == sorted(numbers) and numbers[0] == 1 and numbers[-1] == length
+    for number, name, words in slots:
+        assert f"| {number} | `{name}` | {words} |" in readme
+
+
+@pytest.mark.parametrize("deck", ["abaqus/shear.inp", "moose/shear.i", "fortran/shear.f90"])
+def test_decks_name_the_constants_in_the_order_of_the_code(deck):
+    text = (LINKING / deck).read_text()
+    assert ", ".join(name for _, name, _ in table("P")) in text
+    assert "23" in text
+
+
+# ---- linking ---------------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("demo, program", [("fortran", "shear"), ("c", "points")])
+def test_the_demo_links_to_an_installation_by_find_package_and_agrees_with_python(prefix, tmp_path, demo, program):
+    run("cmake", "-S", LINKING / demo, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={prefix}")
+    run("cmake", "--build", tmp_path)
+    check_output(demo, run(tmp_path / program))
+
+
+def check_output(demo, output):
+    numbers = np.array([[float(word) for word in re.findall(r"-?\d+\.\d+", line)] for line in output.splitlines()])
+    material = Material(0.5, elastic_strain=0.01)
+    gradient = 0.01 * np.outer([1, 0, 0], [0, 0, 1])
+    expected = []
+    if demo == "fortran":
+        state = material.isotropic(0.60, pressure=5e-3)
+        for k in range(1, 201):
+            state = material.update(state, gradient if k <= 100 else -gradient)
+            if k % 25 == 0:
+                expected.append([0.01 * min(k, 200 - k), -1e6 * state.stress[:3].mean(), 1e6 * state.stress[4]])
+        np.testing.assert_allclose(numbers, expected, rtol=0, atol=6e-4)
+    else:
+        states = np.array([material.isotropic(phi, coordination_number=material["Zc"] + 1)
+                           for phi in (0.59, 0.595, 0.60, 0.605, 0.61)], STATE)
+        gradient = np.broadcast_to(gradient, (5, 3, 3))
+        for _ in range(100):
+            states, tangent = material.update_with_tangent(states, gradient)
+        pressure = -states.stress[:, :3].mean(1)
+        expected = np.column_stack([states.volume_fraction, pressure, states.stress[:, 4] / pressure, tangent[:, 4, 4]])
+        np.testing.assert_allclose(numbers[:, 0], expected[:, 0], rtol=0, atol=6e-4)
+        np.testing.assert_allclose(numbers[:, 1:], expected[:, 1:], rtol=0, atol=6e-7)
+
+
+def test_pkg_config_finds_both_libraries(prefix, tmp_path):
+    if not shutil.which("pkg-config"):
+        pytest.skip("pkg-config is not installed")
+    environment = {"PKG_CONFIG_PATH": str(prefix / "lib" / "pkgconfig"), "PATH": "/usr/bin:/bin",
+                   "LD_LIBRARY_PATH": str(prefix / "lib")}
+    for module, compiler, demo, source, program in (("granumat", "gcc", "c", "points.c", "points"),
+                                                    ("granumat-umat", "gfortran", "fortran", "shear.f90", "shear")):
+        flags = run("pkg-config", "--cflags", "--libs", module, env=environment).split()
+        run(compiler, LINKING / demo / source, "-o", tmp_path / program, *flags, env=environment)
+        check_output(demo, run(tmp_path / program, env=environment))
+
+
+def test_the_header_declares_what_the_library_has(tmp_path):
+    """Procedures exist, and the structures have the Fortran types' sizes."""
+    header = (ROOT / "fortran" / "granumat.h").read_text()
+    declared = set(re.findall(r"void (core_\w+)\(", header))
+    exported = {name for _, name in symbols("-D", "--defined-only", BUILD / "python" / "granumat" / "libgranumat_core.so")}
+    assert declared and declared <= exported
+    assert all(name.startswith("core_") for name in exported)
+    (tmp_path / "sizes.c").write_text('#include "granumat.h"\n#include <stdio.h>\n'
+                                      'int main(void) { printf("%zu %zu", sizeof(struct granumat_parameters), '
+                                      'sizeof(struct granumat_state)); return 0; }\n')
+    run("gcc", "-Wall", "-Wextra", "-Werror", "-pedantic", "-I", ROOT / "fortran", tmp_path / "sizes.c", "-o", tmp_path / "sizes")
+    parameters, state = map(int, run(tmp_path / "sizes").split())
+    assert parameters == Material()._par.nbytes and state == STATE.itemsize
