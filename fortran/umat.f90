@@ -68,7 +68,7 @@ contains
     type(material_parameters) :: par
     type(material_state) :: old, new(1)
     type(lane_state) :: x, x_new
-    real(dp) :: given(N_PROPS), strain(6), spin(3), seeds(N_SEEDS, 6), tangent(LANES, 6, 6), R(3, 3)
+    real(dp) :: given(N_PROPS), strain(6), spin(3), seeds(N_SEEDS, 6), tangent(LANES, 6, 6), R(3, 3), back(3, 3)
     integer :: lane_status(LANES), n, j
     logical :: unrotated
 
@@ -99,9 +99,10 @@ contains
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
       call write_state(new(1), statev)
       if (unrotated) then
-        new(1)%stress = turned(transpose(R), new(1)%stress)
+        back = transpose(R)
+        new(1)%stress = turned(back, new(1)%stress)
         do j = 1, n
-          tangent(1, :, j) = turned(transpose(R), tangent(1, :, j))
+          tangent(1, :, j) = turned(back, tangent(1, :, j))
         end do
       end if
       stress = given(P_STIFFNESS) * new(1)%stress(:n)

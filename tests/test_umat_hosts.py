@@ -5,16 +5,17 @@ import mmap
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from granumat import Material
 from granumat.material import status_message
-from umat_host import (EYE, FABRIC, LIBRARY, N_STATEV, ORDER, PHI, STATUS, WORK, Guarded, call, engineering, properties, statev_of)
+from umat_host import EYE, FABRIC, LIBRARY, N_STATEV, ORDER, PHI, STATUS, WORK, Guarded, call, engineering, properties, statev_of
 
 UNIT = 1.0e6
 PROPS = properties(stiffness=UNIT, elastic_strain=0.01, pressure=5e3)
 DSTRAN = np.array([0.001, -0.002, 0.0005, 0.003, -0.001, 0.002])
-NEVER_READ = ("sse", "spd", "scd", "rpl", "ddsddt", "drplde", "drpldt", "stran", "time", "dtime", "temp", "dtemp", "predef", "dpred",
-              "cmname", "ndi", "nshr", "coords", "celent", "noel", "npt", "layer", "kspt", "kstep", "kinc")
+NEVER_READ = ("sse", "spd", "scd", "rpl", "ddsddt", "drplde", "drpldt", "stran", "time", "dtime", "temp", "dtemp", "predef",
+              "dpred", "cmname", "ndi", "nshr", "coords", "celent", "noel", "npt", "layer", "kspt", "kstep", "kinc")
 
 
 def started(props=PROPS):
@@ -135,6 +136,28 @@ def test_sdvini_lets_every_state_start_itself():
     LIBRARY.sdvini_(ctypes.c_void_p(statev.address), None, *(ctypes.byref(value) for value in integers))
     statev.assert_intact()
     assert not statev.values.any()
+
+
+@pytest.mark.parametrize("spin", [0, 1, 2, 3])
+@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
+@pytest.mark.parametrize("closure", range(5))
+def test_success_raises_no_floating_point_exception(rng, closure, elastic_strain, spin):
+    """Some hosts trap them."""
+    libm = ctypes.CDLL("libm.so.6")
+    libm.log.restype, libm.log.argtypes = ctypes.c_double, [ctypes.c_double]
+    traps = 1 | 4 | 8                                                   # invalid, division by zero, overflow (x86)
+    props = properties(stiffness=UNIT, closure=closure, elastic_strain=elastic_strain, spin=spin)
+    stress, statev, old = np.zeros(6), np.zeros(N_STATEV), EYE
+    for size in (0.0, 0.01, 0.01, 0.0, 1e-12, 0.2):
+        gradient = size * rng.normal(size=(3, 3))
+        gradient -= np.trace(gradient) / 3 * EYE
+        new = expm(gradient) @ old
+        libm.feclearexcept(traps)
+        result = call(stress, statev, engineering(gradient), props, dfgrd0=old, dfgrd1=new)
+        assert result.status == 0 and libm.fetestexcept(traps) == 0
+        stress, statev, old = result.stress, result.statev, new
+    libm.log(-1.0)
+    assert libm.fetestexcept(traps) == 1
 
 
 # ---- failure ---------------------------------------------------------------------------------------------------------

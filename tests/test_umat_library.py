@@ -162,3 +162,8 @@ def test_the_header_declares_what_the_library_has(tmp_path):
     run("gcc", "-Wall", "-Wextra", "-Werror", "-pedantic", "-I", ROOT / "fortran", tmp_path / "sizes.c", "-o", tmp_path / "sizes")
     parameters, state = map(int, run(tmp_path / "sizes").split())
     assert parameters == Material()._par.nbytes and state == STATE.itemsize
+
+
+def test_the_cost_of_a_call_is_measured():
+    elastic, umat = map(float, run(BUILD / "python" / "granumat" / "umat_cost").split())
+    assert elastic > 0 and umat > 0

@@ -10,8 +10,10 @@ import granumat
 
 BUILD = Path(granumat.__file__).parents[2]
 LIBRARY = ctypes.CDLL(str(BUILD / "libGRANUMAT.so"))
-ORDER = ("stress statev ddsdde sse spd scd rpl ddsddt drplde drpldt stran dstran time dtime temp dtemp predef dpred cmname ndi "
-         "nshr ntens nstatv props nprops coords drot pnewdt celent dfgrd0 dfgrd1 noel npt layer kspt kstep kinc").split()
+ORDER = ("stress", "statev", "ddsdde", "sse", "spd", "scd", "rpl", "ddsddt", "drplde", "drpldt", "stran", "dstran", "time", "dtime",
+         "temp", "dtemp", "predef", "dpred", "cmname", "ndi", "nshr", "ntens", "nstatv", "props", "nprops", "coords", "drot",
+         "pnewdt", "celent", "dfgrd0", "dfgrd1", "noel", "npt", "layer", "kspt", "kstep", "kinc")
+SCALARS = ("sse", "spd", "scd", "rpl", "drpldt", "temp", "dtemp", "celent", "dtime")
 OUTPUTS = ("stress", "statev", "ddsdde", "pnewdt")
 N_STATEV = 23
 STATUS = 22                                       # position of the status in STATEV, from 0
@@ -66,7 +68,7 @@ def call(stress, statev, dstran, props, drot=EYE, dfgrd0=EYE, dfgrd1=EYE, pnewdt
         "ddsddt": np.full(n, np.nan), "drplde": np.full(n, np.nan), "coords": np.full(3, np.nan), "predef": [np.nan],
         "dpred": [np.nan],
     }
-    numbers |= {name: [scalars.get(name, np.nan)] for name in "sse spd scd rpl drpldt temp dtemp celent dtime".split()}
+    numbers |= {name: [scalars.get(name, np.nan)] for name in SCALARS}
     integers = {"ndi": 3, "nshr": n - 3, "ntens": n, "nstatv": len(statev), "nprops": len(props), "noel": 1, "npt": 1, "layer": 1,
                 "kspt": 1, "kstep": 1, "kinc": 1} | {name: scalars[name] for name in scalars if name.startswith("n")}
     arrays = {name: None if name in null else Guarded(values) for name, values in numbers.items()}

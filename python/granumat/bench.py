@@ -191,7 +191,9 @@ def newton_residuals(increment=0.02):
 
 def print_ratios():
     """Prints everything."""
+    from .bench_umat import print_umat
     print_batch()
+    print_umat()
     print_sizes()
     print("Newton's residuals, reversal by 0.02 with all normal stresses held: "
           + " ".join(f"{residual:.1e}" for residual in newton_residuals()))
