@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[3]
-CCX = ROOT / "build/calculix/ccx"
-LIBRARY = ROOT / "build/release"                # where libGRANUMAT.so is
+import granumat
+
+CCX = Path(__file__).resolve().parents[3] / "build/calculix/ccx"
+LIBRARY = Path(granumat.__file__).parents[2]    # of the build that Python imports: libGRANUMAT.so
 CONSTANTS = ("mu", "stiffness", "closure", "contact", "elastic_strain", "phi", "pressure", "spin", "calibration")   # PROPS
 N_STATEV = 23
 

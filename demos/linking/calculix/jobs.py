@@ -19,15 +19,15 @@ COARSE = 0.999              # tolerance at which the driver halves each incremen
 class Job(NamedTuple):
     """A deck and the states that its integration points should go through.
 
-    `every` is how many increments of the deck one of the states covers; `rotation` (n, 3, 3) turns their stress into the
-    global frame.
+    `every` is how many increments of the deck one of the states covers; `frame` (n, 3, 3) turns their stress into the global
+    one.
     """
 
     title: str
     deck: str
     states: np.recarray
     every: int = 1
-    rotation: np.ndarray | None = None
+    frame: np.ndarray | None = None
 
 
 def states_of(*steps):
@@ -100,30 +100,50 @@ def biaxial_compression():
     return Job("biaxial compression, constant side pressure", deck, states_of(driver.biaxial(0.08, increments=40)), every=2)
 
 
-def shear_and_rotation():
-    """Large shear, a rigid quarter turn, more shear, through ABAQUSNL.
+def shear_and_rotation(spin):
+    """Large shear, a rigid quarter turn, more shear, through ABAQUSNL: its stress and strain are in the frame that turns with R
+    of F = R U.
 
-    It hands over the increments of log U and expects the stress in the frame that turns with R of F = R U.
+    PROPS(8) = 3 takes the deformation from DFGRD0 and DFGRD1 and is the same as in the driver; 0 takes what ABAQUSNL hands over
+    for strain, the increments of log U without a spin.
     """
     n = 30
     gamma = np.concatenate([np.linspace(0, 0.3, n + 1), np.full(n, 0.3), np.linspace(0.3, 0.6, n + 1)[1:]])
     angle = np.pi / 2 * np.concatenate([np.zeros(n + 1), np.linspace(0, 1, n + 1)[1:], np.ones(n)])
-    turn, shear = rotations(angle), np.tile(np.eye(3), (3 * n + 1, 1, 1))
+    turn, shear = turns(angle), np.tile(np.eye(3), (3 * n + 1, 1, 1))
     shear[:, 0, 2] = gamma
-    F = turn @ shear
-    log_U, R = polar(shear)
     box = Brick((1, 1, 1), (1, 1, 1))
-    deck, body = box.deck(CONSTANTS, "@ABAQUSNL", STRESS), ""
+    deck, body = box.deck(CONSTANTS | {"spin": spin}, "@ABAQUSNL", STRESS), ""
     for number, x in enumerate(box.nodes, 1):
-        for dof, path in enumerate(((F - np.eye(3)) @ x).T, 1):
+        for dof, path in enumerate(((turn @ shear - np.eye(3)) @ x).T, 1):
             deck += f"*AMPLITUDE,NAME=A{number}_{dof}\n" + "".join(f"{k / (3 * n):.15g},{u:.15g}\n" for k, u in enumerate(path))
             body += f"*BOUNDARY,AMPLITUDE=A{number}_{dof}\n{number},{dof},{dof},1\n"
-    path = driver.Step("log U", increments=3 * n, table=log_U.reshape(-1, 9))
-    return Job("large shear, quarter turn, shear: ABAQUSNL", deck + step(3 * n, body, ",NLGEOM"), states_of(path),
-               rotation=(turn @ R)[1:])
+    deck += step(3 * n, body, ",NLGEOM")
+    if spin == 0:
+        log_U, R = polar(shear)
+        states = states_of(driver.Step("log U", increments=3 * n, table=log_U.reshape(-1, 9)))
+        return Job("large shear, quarter turn, shear; log U only", deck, states, frame=(turn @ R)[1:])
+    quarter = turn[-1] @ driver.SHEAR @ turn[-1].T
+    return Job("large shear, quarter turn, shear", deck, states_of(
+        driver.deform(driver.SHEAR, 0.3, increments=n), driver.deform(driver.SHEAR - driver.SHEAR.T, np.pi / 2, increments=n),
+        driver.deform(quarter, 0.3, increments=n)))
 
 
-def rotations(angles):
+def cut_back():
+    """A reversed shear of 3 in one increment under a load: the first guess of the settlement has phi above 1, where the UMAT asks
+    for a quarter of the increment."""
+    box = Brick((1, 1, 1), (1, 1, 1))
+    top = box.on("z1")
+    deck = box.deck(CONSTANTS, stress=STRESS) + boundary(box.on("z0"), (1, 2, 3)) + boundary(top, [2])
+    for node in top[1:]:
+        deck += equation((node, 3, 1), (top[0], 3, -1))
+    load = f"*CLOAD,AMPLITUDE=HELD\n{top[0]},3,{STRESS[2]}\n"
+    deck += step(20, boundary(top, [1], 0.2) + load) + step(1, boundary(top, [1], -2.8) + load, automatic=True)
+    return Job("reversal by 3 in one increment, cut back", deck,
+               states_of(pure_shear(0.2, "normal-load", 10), pure_shear(-3.0, "normal-load", 2)), every=2)
+
+
+def turns(angles):
     """About y, from z to x: (n, 3, 3)."""
     zero, one = np.zeros_like(angles), np.ones_like(angles)
     rows = [[np.cos(angles), zero, np.sin(angles)], [zero, one, zero], [-np.sin(angles), zero, np.cos(angles)]]
@@ -142,7 +162,9 @@ JOBS = {
     "pressure": shear_at_constant_pressure,
     "platen": shear_under_a_platen,
     "biaxial": biaxial_compression,
-    "rotation": shear_and_rotation,
+    "rotation": lambda: shear_and_rotation(3),
+    "log-u": lambda: shear_and_rotation(0),
+    "cutback": cut_back,
 }
 
 
@@ -150,8 +172,8 @@ def errors(job, output):
     """Largest difference between CalculiX's integration points and the driver: stress over its largest value, A over kappa, Z2
     and phi."""
     states, stress = job.states[:, None], job.states.stress
-    if job.rotation is not None:
-        stress = tensors.six(job.rotation @ tensors.full(stress) @ np.swapaxes(job.rotation, 1, 2))
+    if job.frame is not None:
+        stress = tensors.six(job.frame @ tensors.full(stress) @ np.swapaxes(job.frame, 1, 2))
     found, statev = output.stress[job.every - 1::job.every] / UNIT, output.statev[job.every - 1::job.every]
     return {
         "stress": np.abs(found - stress[:, None]).max() / np.abs(stress).max(),
