@@ -9,6 +9,7 @@ from granumat.tensors import full
 
 CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
 GAUSS = CORNERS / np.sqrt(3)
+TOLERANCE, MAX_ITERATIONS = 1e-10, 30       # of forces, over the initial reaction
 
 
 def strain_matrices(size, b_bar):
@@ -27,7 +28,7 @@ def strain_matrices(size, b_bar):
     return B
 
 
-def block_reaction(problem, b_bar=False, tolerance=1e-10):
+def block_reaction(problem, b_bar=False):
     """Reaction (n + 1,) of the upper platen of demos/linking/calculix/block.toml, and Newton's iterations in each increment."""
     block, initial, loading = problem["block"], problem["initial"], problem["loading"]
     material = Material(**problem["material"])
@@ -46,28 +47,30 @@ def block_reaction(problem, b_bar=False, tolerance=1e-10):
     fixed = np.concatenate([2 * node[0], 2 * node[0] + 1, 2 * node[-1], platen])
     free = np.setdiff1d(np.arange(force.size), fixed)
 
+    def equilibrium(states, change):
+        """New states, forces that are not balanced, and their derivative."""
+        strain = np.einsum("pij,ej->epi", B, change[dofs])
+        strain[..., 3:] /= 2
+        new, C = material.update_with_tangent(states, full(strain))
+        unbalanced = -force
+        np.add.at(unbalanced, dofs, weight * np.einsum("pij,epi->ej", B, new.stress))
+        K = weight * np.einsum("pki,epkl,plj->eij", B, C, B)
+        K = coo_matrix((K.ravel(), (np.repeat(dofs, 8, axis=1).ravel(), np.tile(dofs, 8).ravel()))).tocsc()
+        return new, unbalanced, K
+
     states = np.tile(material.isotropic(initial["phi"], initial["pressure"]), (len(dofs), 4)).view(np.recarray)
-    change, iterations = np.zeros(force.size), []
-    reaction = [initial["pressure"] * block["width"]]
+    change, reaction, iterations = np.zeros(force.size), [initial["pressure"] * block["width"]], []
     for _ in range(loading["increments"]):
         change[platen] = -loading["compression"] * block["height"] / loading["increments"]
-        residual, count = np.inf, 0
-        while np.abs(residual).max() > tolerance * reaction[0]:
+        new, unbalanced, K = equilibrium(states, change)
+        count = 0
+        while np.abs(unbalanced[free]).max() > TOLERANCE * reaction[0]:
             count += 1
-            if count > 30:
+            if count > MAX_ITERATIONS:
                 raise RuntimeError("Newton's method did not converge")
-            if count > 1:
-                K = weight * np.einsum("pki,epkl,plj->eij", B, C, B)
-                rows, columns = np.repeat(dofs, 8, axis=1), np.tile(dofs, 8)
-                K = coo_matrix((K.ravel(), (rows.ravel(), columns.ravel()))).tocsc()
-                change[free] -= spsolve(K[free][:, free], residual)
-            strain = np.einsum("pij,ej->epi", B, change[dofs])
-            strain[..., 3:] /= 2
-            trial, C = material.update_with_tangent(states, full(strain))
-            inner = np.zeros(force.size)
-            np.add.at(inner, dofs, weight * np.einsum("pij,epi->ej", B, trial.stress))
-            residual = (inner - force)[free]
-        states = trial
-        reaction.append(-inner[platen].sum())
+            change[free] -= spsolve(K[free][:, free], unbalanced[free])
+            new, unbalanced, K = equilibrium(states, change)
+        states = new
+        reaction.append(-unbalanced[platen].sum())
         iterations.append(count)
     return np.array(reaction), iterations

@@ -1,14 +1,17 @@
 """The UMAT in CalculiX: demos/linking/calculix against the single-point driver and against a solver of our own."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+
 from plane_strain import block_reaction
 
-DEMO = Path(__file__).resolve().parents[1] / "demos/linking/calculix"
+ROOT = Path(__file__).resolve().parents[1]
+DEMO = ROOT / "demos/linking/calculix"
 NO_DOWNLOAD = 69            # exit status of build.sh
 PRINTED = 1e-6              # CalculiX prints seven digits
 
@@ -31,6 +34,12 @@ def test_homogeneous_jobs_equal_the_driver_to_the_printed_digits(demo, name):
     job, output, errors = demo["jobs"][name], demo["outputs"][name], demo["errors"][name]
     assert len(output.stress) == job.every * len(job.states)
     assert all(error < PRINTED for error in errors.values()), errors
+
+
+def test_decks_name_the_constants_as_the_readme_does(demo):
+    from ccx import CONSTANTS
+    table = (ROOT / "README.md").read_text().split("| PROPS | name |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| \d+ \| `(\w+)`", table, re.MULTILINE) == list(CONSTANTS)
 
 
 def test_most_increments_of_a_homogeneous_job_take_two_iterations(demo):
@@ -80,3 +89,9 @@ def test_the_block_of_quadratic_elements_is_within_1_percent_of_b_bar_and_trilin
     for element in ("C3D20R", "C3D8I"):
         assert np.abs(reactions[element][1] / b_bar - 1).max() < 0.01
     assert reactions["C3D8"][1][-1] > 1.05 * b_bar[-1]
+
+
+def test_a_block_on_the_moving_mesh_departs_from_the_fixed_one_in_proportion_to_the_compression(demo):
+    compression, fixed, _ = demo["reactions"]["C3D8"]
+    departure = demo["reactions"]["C3D8 moving"][1] / fixed - 1
+    assert np.all((departure[1:] > 0) & (departure[1:] < 2 * compression[1:]))

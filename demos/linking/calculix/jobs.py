@@ -59,7 +59,7 @@ def shear_at_constant_pressure():
     deck += boundary([driving], [3])
     for number, (x, y, z) in enumerate(box.nodes, 1):
         for dof, gamma, q in ((1, z, x), (2, 0, y), (3, 0, z)):
-            terms = [(driving, 1, -gamma)] * (gamma > 0) + [(driving, 2, -q)] * (q > 0)
+            terms = [(driving, column, -factor) for column, factor in ((1, gamma), (2, q)) if factor]
             deck += equation((number, dof, 1), *terms) if terms else boundary([number], [dof])
     load = f"*CLOAD,AMPLITUDE=HELD\n{driving},2,{3 * STRESS[0]}\n"
     for gamma, increments in ((0.2, 40), (-0.2, 80)):
