@@ -79,7 +79,7 @@ def test_the_block_of_trilinear_elements_equals_a_solver_of_our_own(demo):
     ours, iterations = block_reaction(block.PROBLEM)
     _, force, output = demo["reactions"]["C3D8"]
     assert np.abs(force / ours - 1).max() < PRINTED
-    assert np.median(output.iterations) > 1.5 * np.median(iterations)   # CalculiX keeps the symmetric part of the tangent only
+    assert np.median(output.iterations) > 2 * np.median(iterations)   # CalculiX keeps the symmetric part of the tangent only
 
 
 def test_the_block_of_quadratic_elements_is_within_1_percent_of_b_bar_and_trilinear_ones_lock(demo):
