@@ -145,7 +145,7 @@ contains
     if (.not. all(abs(given) <= huge(given))) return
     if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
       .and. is_choice(given(P_SPIN), SPIN_UNROTATED) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
-      .and. given(P_STIFFNESS) > 0 .and. given(P_MU) >= 0 .and. given(P_MU) <= 1)) return
+      .and. given(P_STIFFNESS) > 0)) return
     par = parameters_from_friction(given(P_MU), nint(given(P_CLOSURE)), nint(given(P_CONTACT)), nint(given(P_CALIBRATION)))
     par%elastic_strain = given(P_ELASTIC_STRAIN)
     if (are_valid(par)) status = OK
@@ -188,11 +188,7 @@ contains
     end if
     if (all(abs(strain) < NO_STRAIN)) strain = 0
     spin = [L(1, 2) - L(2, 1), L(1, 3) - L(3, 1), L(2, 3) - L(3, 2)] / 2
-    if (size(dstran) == 4) then
-      strain(5:6) = 0
-      spin(2:3) = 0
-    end if
-    if (.not. found) status = BAD_DEFORMATION
+    if (.not. (found .and. norm2(spin) < LARGEST_ANGLE)) status = BAD_DEFORMATION
   end subroutine read_increment
 
   !> log R of a rotation.
@@ -200,15 +196,15 @@ contains
     real(dp), intent(in) :: R(3, 3)
     real(dp), intent(out) :: W(3, 3)
     logical, intent(out) :: found
-    real(dp) :: sine, cosine, angle
+    real(dp) :: sine, cosine
 
     W = (R - transpose(R)) / 2
     sine = norm2([W(1, 2), W(1, 3), W(2, 3)])
     cosine = (R(1, 1) + R(2, 2) + R(3, 3) - 1) / 2
-    angle = atan2(sine, cosine)
-    found = all(abs(matmul(transpose(R), R) - identity()) < ROTATION_ERROR) .and. angle < LARGEST_ANGLE &
-      .and. abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR      ! which a reflection does not fulfil
-    if (sine > 0) W = W * (angle / sine)
+    found = all(abs(matmul(transpose(R), R) - identity()) < ROTATION_ERROR) &
+      .and. abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR &    ! which a reflection does not fulfil
+      .and. (sine > 0 .or. cosine > 0)                         ! nor half a turn this
+    if (sine > 0) W = W * (atan2(sine, cosine) / sine)
   end subroutine rotation_logarithm
 
   !> log f of f = F1 F0^-1, by 2 artanh((f - I) (f + I)^-1) after as many square roots as that series needs.

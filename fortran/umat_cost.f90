@@ -1,4 +1,4 @@
-!> What one UMAT call costs beside an elastic UMAT's: prints the nanoseconds of both, processor time, the median of some repetitions.
+!> What one UMAT call costs beside an elastic UMAT's: prints the nanoseconds of both, processor time, the median of repetitions.
 !!
 !! Both are called as a host does, with all 37 arguments, at points near steady shear and increments of shear strain up to 0.01.
 program umat_cost

@@ -161,6 +161,28 @@ def test_tangent_equals_differences_through_the_umat(rng, elastic_strain, spin, 
     assert np.abs(expected - expected.T).max() > 1e-2 * np.abs(expected).max()             # a transposed one would be seen
 
 
+@pytest.mark.parametrize("ntens", [6, 4])
+def test_tangent_in_the_unrotated_frame_is_the_true_one_turned_back(rng, ntens):
+    material, props = material_and_props(elastic_strain=0.01, spin=2)
+    state = material.update(material.isotropic(0.60, pressure=0.005), 0.05 * np.outer([1, 0, 0], [0, 1, 0]))
+    arguments = {"statev": statev_of(state), "dstran": np.zeros(ntens), "dfgrd0": EYE + 0.5 * np.outer([1, 0, 0], [0, 1, 0])}
+    arguments["dfgrd1"] = (EYE + 0.01 * np.outer([0, 1, 0], [1, 0, 0])) @ arguments["dfgrd0"]
+    if ntens == 6:
+        q = rotation_about([3, -1, 2], 0.7)
+        arguments["dfgrd0"], arguments["dfgrd1"] = q @ arguments["dfgrd0"], q @ arguments["dfgrd1"]
+    true = call(np.zeros(ntens), props=props, **arguments)
+    props[7] = 3
+    unrotated = call(np.zeros(ntens), props=props, **arguments)
+    assert true.status == unrotated.status == 0
+    r = polar(arguments["dfgrd1"])[0]
+    tensor_shears = np.array([1, 1, 1, 0.5, 0.5, 0.5])
+    turned_strains = np.array([turn(r, unit * tensor_shears) / tensor_shears for unit in np.eye(6)]).T         # columns
+    back = np.array([turn(r.T, unit) for unit in np.eye(6)]).T
+    expected = back[:ntens, :ntens] @ true.ddsdde @ turned_strains[:ntens, :ntens]
+    np.testing.assert_allclose(unrotated.ddsdde, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    assert np.abs(expected - true.ddsdde).max() > 0.01 * np.abs(expected).max()
+
+
 # ---- frames ----------------------------------------------------------------------------------------------------------
 
 def turn(q, components):
@@ -227,7 +249,7 @@ HOSTS = [(Abaqus, 1), (Abaqus, 2), (OldStress, 1), (OldStress, 2), (Unrotated, 0
 
 
 @pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
-@pytest.mark.parametrize("angle", [30, 90])
+@pytest.mark.parametrize("angle", [30, 90, 170])
 @pytest.mark.parametrize("host, spin", HOSTS)
 def test_shear_after_a_rigid_rotation_is_shear_turned(host, spin, angle, elastic_strain):
     straight, turned = host(spin, elastic_strain), host(spin, elastic_strain)

@@ -214,6 +214,7 @@ def failures():
         "DFGRD0 singular": {"props": changed(PROPS, 7, 2.0), "dfgrd0": np.diag([1.0, 1, 0])},
         "DFGRD1 inside out": {"props": changed(PROPS, 7, 2.0), "dfgrd1": np.diag([1.0, 1, -1])},
         "DFGRD1 not finite": {"props": changed(PROPS, 7, 3.0), "dfgrd1": changed(EYE, (2, 1), np.inf)},
+        "DFGRD1 nearly a half turn": {"props": changed(PROPS, 7, 2.0), "dfgrd1": expm(3.1 * np.cross(EYE, [0.6, 0, 0.8]))},
         "DFGRD1 a half turn": {"props": changed(PROPS, 7, 3.0), "dfgrd1": np.diag([1.0, -1, -1])},
     }
     return {name: plain | arguments for name, arguments in cases.items()}
