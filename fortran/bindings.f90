@@ -2,6 +2,7 @@
 module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
   use granumat_batch, only: update_batch
+  use granumat_element, only: element_gradients, element_forces, element_stiffness
   use granumat_ellipticity, only: response, transverse_modulus, response_of, least_over_normals, EIGENVALUE, DETERMINANT
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
     are_valid, N_CONSTANTS, NAME_LENGTH, RANGES
@@ -184,5 +185,31 @@ contains
     end do
     total = sum(x)
   end subroutine core_arithmetic
+
+  subroutine core_element_gradients(d, nodes, points, cells, mean_dilatation, shape_gradients, weights, x, u, L, volume, &
+      status) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
+    real(c_double), intent(in) :: shape_gradients(nodes, d, points), weights(points), x(d, nodes, cells), u(d, nodes, cells)
+    real(c_double), intent(out) :: L(3, 3, points, cells), volume(points, cells)
+    integer(c_int), intent(out) :: status(cells)
+    call element_gradients(shape_gradients, weights, x, u, mean_dilatation /= 0, L, volume, status)
+  end subroutine core_element_gradients
+
+  subroutine core_element_forces(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, stress, forces) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
+    real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
+    real(c_double), intent(in) :: stress(6, points, cells)
+    real(c_double), intent(out) :: forces(d, nodes, cells)
+    call element_forces(shape_gradients, x_new, volume, stress, mean_dilatation /= 0, forces)
+  end subroutine core_element_forces
+
+  subroutine core_element_stiffness(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, L, stress, tangent, &
+      K) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
+    real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
+    real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells), tangent(9, 6, points, cells)
+    real(c_double), intent(out) :: K(d * nodes, d * nodes, cells)
+    call element_stiffness(shape_gradients, x_new, volume, L, stress, tangent, mean_dilatation /= 0, K)
+  end subroutine core_element_stiffness
 
 end module granumat_bindings
