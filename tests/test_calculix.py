@@ -41,9 +41,9 @@ def test_decks_name_the_constants_as_the_readme_does(demo):
     assert re.findall(r"^\| \d+ \| `(\w+)`", table, re.MULTILINE) == list(CONSTANTS)
 
 
-def test_most_increments_of_a_homogeneous_job_take_two_iterations_four_where_a_loaded_mesh_moves(demo):
+def test_most_increments_of_a_homogeneous_job_take_two_iterations(demo):
     for name, output in demo["outputs"].items():
-        assert np.median(output.iterations) == (4 if name == "moving-platen" else 2)
+        assert np.median(output.iterations) == 2, name
 
 
 def test_two_threads_give_the_same_up_to_round_off(demo):
@@ -91,6 +91,6 @@ def test_the_block_of_quadratic_elements_is_within_1_percent_of_b_bar_and_trilin
 
 
 def test_a_block_on_the_moving_mesh_departs_from_the_fixed_one_in_proportion_to_the_compression(demo):
-    compression, fixed, _ = demo["reactions"]["C3D8"]
-    departure = demo["reactions"]["C3D8 moving"][1] / fixed - 1
+    compression, fixed, _ = demo["reactions"]["C3D20R"]
+    departure = demo["reactions"]["C3D20R moving"][1] / fixed - 1
     assert np.all((departure[1:] > 0) & (departure[1:] < 2 * compression[1:]))

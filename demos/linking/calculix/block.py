@@ -19,7 +19,7 @@ def deck(problem, element, finite=False):
     box = Brick((block["elements"][0], 1, block["elements"][1]), (block["width"], thickness, block["height"]), element)
     pressure = initial["pressure"] * UNIT
     constants = problem["material"] | {"closure": CLOSURES.index(problem["material"]["closure"]), "stiffness": UNIT,
-                                       "phi": initial["phi"], "spin": 3 if finite else 0}
+                                       "phi": initial["phi"], "spin": 4 if finite else 0}
     text = box.deck(constants, "@ABAQUSNL" if finite else "@ABAQUS", [-pressure] * 3 + [0.0] * 3)
     text += boundary(np.arange(1, len(box.nodes) + 1), [2]) + boundary(box.on("z0"), [1, 3]) + boundary(box.on("z1"), [1])
     loads = "*DLOAD,AMPLITUDE=HELD\n"

@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 BLOCKS = {                  # element, and whether the mesh moves
     "C3D8": ("C3D8", False),
-    "C3D8 moving": ("C3D8", True),
     "C3D8I": ("C3D8I", False),
     "C3D20R": ("C3D20R", False),
+    "C3D20R moving": ("C3D20R", True),
 }
 
 
@@ -41,7 +41,7 @@ def main(place):
     print(f"cutbacks that the UMAT asked for: {outputs['cutback'].cutbacks}")
     reactions = {name: block.reaction(place, *choice) for name, choice in BLOCKS.items()}
     for name, (_, force, output) in reactions.items():
-        print(f"block, {name:11} reaction {force[-1]:.6f}  {counts(output.iterations)}")
+        print(f"block, {name:13} reaction {force[-1]:.6f}  {counts(output.iterations)}")
     picture(outputs, jobs, reactions).savefig(Path(place) / "calculix.png", dpi=120)
     return {"jobs": jobs, "outputs": outputs, "errors": found, "threads": threads, "reactions": reactions}
 
