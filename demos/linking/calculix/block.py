@@ -26,7 +26,7 @@ def deck(problem, element, finite=False):
     for face, label in (("x1", "P4"), ("x0", "P6")):
         loads += "".join(f"{element},{label},{pressure}\n" for element in box.elements_at(face))
     platen = boundary(box.on("z1"), [3], -loading["compression"] * block["height"])
-    return box, text + step(loading["increments"], platen + loads, ",NLGEOM" if finite else "")
+    return box, text + step(loading["increments"], platen + loads, finite)
 
 
 def reaction(place, element, finite=False, problem=PROBLEM):

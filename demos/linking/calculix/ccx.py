@@ -94,9 +94,9 @@ def equation(*terms):
     return f"*EQUATION\n{len(terms)}\n" + ",".join(f"{node},{dof},{coefficient}" for node, dof, coefficient in terms) + "\n"
 
 
-def step(increments, body, geometry="", automatic=False):
-    """A step of time 1: geometry ",NLGEOM" or "" for small displacements; the size of increments is fixed unless automatic."""
-    return (f"*STEP,INC=10000{geometry}\n*STATIC{'' if automatic else ',DIRECT'}\n{1 / increments:.15g},1.\n{CONTROLS}{body}"
+def step(increments, body, finite=False, automatic=False):
+    """A step of time 1, on the moving mesh if finite, in increments of one size unless automatic."""
+    return (f"*STEP,INC=10000{',NLGEOM' if finite else ''}\n*STATIC{'' if automatic else ',DIRECT'}\n{1 / increments:.15g},1.\n{CONTROLS}{body}"
             "*NODE PRINT,NSET=ALL\nU,RF\n*EL PRINT,ELSET=ALL\nS,SDV\n*END STEP\n")
 
 

@@ -91,7 +91,7 @@ def shear_under_a_platen(finite=False):
             deck += equation((node, dof, 1), (partner, dof, -1))
     load = f"*CLOAD,AMPLITUDE=HELD\n{top[0]},3,{STRESS[2]}\n"
     for gamma, increments in ((0.2, 40), (-0.2, 80)):
-        deck += step(increments, boundary(top, [1], height * gamma) + load, ",NLGEOM" if finite else "")
+        deck += step(increments, boundary(top, [1], height * gamma) + load, finite)
     if finite:
         return Job("simple shear, constant normal load: ABAQUSNL", deck,
                    lambda output: states_along(output.displacement[:, top[0] - 1] / height))
@@ -141,7 +141,7 @@ def shear_and_rotation(spin):
         for dof, path in enumerate(((turn @ shear - np.eye(3)) @ x).T, 1):
             deck += f"*AMPLITUDE,NAME=A{number}_{dof}\n" + "".join(f"{k / (3 * n):.15g},{u:.15g}\n" for k, u in enumerate(path))
             body += f"*BOUNDARY,AMPLITUDE=A{number}_{dof}\n{number},{dof},{dof},1\n"
-    deck += step(3 * n, body, ",NLGEOM")
+    deck += step(3 * n, body, finite=True)
     if spin == 0:
         log_U, R = polar(shear)
         states = states_of(driver.Step("log U", increments=3 * n, table=log_U.reshape(-1, 9)))
