@@ -96,7 +96,8 @@ def equation(*terms):
 
 def step(increments, body, finite=False, automatic=False):
     """A step of time 1, on the moving mesh if finite, in increments of one size unless automatic."""
-    return (f"*STEP,INC=10000{',NLGEOM' if finite else ''}\n*STATIC{'' if automatic else ',DIRECT'}\n{1 / increments:.15g},1.\n{CONTROLS}{body}"
+    geometry, size = ",NLGEOM" if finite else "", "" if automatic else ",DIRECT"
+    return (f"*STEP,INC=10000{geometry}\n*STATIC{size}\n{1 / increments:.15g},1.\n{CONTROLS}{body}"
             "*NODE PRINT,NSET=ALL\nU,RF\n*EL PRINT,ELSET=ALL\nS,SDV\n*END STEP\n")
 
 
