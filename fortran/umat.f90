@@ -13,7 +13,7 @@ module granumat_umat
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_stress, only: evaluate
   use granumat_tangent, only: N_SEEDS
-  use granumat_tensors, only: LANES, rotate
+  use granumat_tensors, only: LANES, product_symmetric, rotate
   use granumat_update, only: update
   implicit none (type, external)
   private
@@ -27,7 +27,7 @@ module granumat_umat
   integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress deviator relaxes; 0: the paper
   integer, parameter :: P_PHI = 6               !! initial volume fraction
   integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
-  integer, parameter :: P_SPIN = 8              !! 0 none, 1 from DROT, 2 from DFGRD0 and DFGRD1, 3 as 2 with STRESS unrotated
+  integer, parameter :: P_SPIN = 8              !! 0 none, 1 DROT, 2 DFGRD; 3 as 2, STRESS unrotated; 4 as 3, DDSDDE for CalculiX
   integer, parameter :: P_CALIBRATION = 9       !! source of a4: 0 table 1, 1 text, 2 figure 16
   integer, parameter :: N_PROPS = 9, N_PROPS_NEEDED = 6     ! those left out at the end are 0
 
@@ -41,7 +41,7 @@ module granumat_umat
   integer, parameter :: S_STATUS = 23           !! 0 done, else why the last call failed
   integer, parameter :: N_STATEV = 23
 
-  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3
+  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3, SPIN_CALCULIX = 4
 
   real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
   real(dp), parameter :: ROTATION_ERROR = 1.0e-6_dp        ! of R^T R - I: hosts that store single precision reach 1e-7
@@ -78,7 +78,7 @@ contains
     if (status == OK) call read_increment(nint(given(P_SPIN)), dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
     if (status == OK) call read_state(par, given, stress, statev, old, status)
     if (status == OK) then
-      unrotated = nint(given(P_SPIN)) == SPIN_UNROTATED
+      unrotated = nint(given(P_SPIN)) >= SPIN_UNROTATED
       seeds = 0
       do j = 1, n
         seeds(j, j) = 1
@@ -104,6 +104,7 @@ contains
         do j = 1, n
           tangent(1, :, j) = turned(back, tangent(1, :, j))
         end do
+        if (nint(given(P_SPIN)) == SPIN_CALCULIX) call take_to_reference(dfgrd1, new(1)%stress, tangent(1, :, :n))
       end if
       stress = given(P_STIFFNESS) * new(1)%stress(:n)
       ddsdde = given(P_STIFFNESS) * tangent(1, :n, :n)
@@ -144,7 +145,7 @@ contains
     status = BAD_PARAMETERS
     if (.not. all(abs(given) <= huge(given))) return
     if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
-      .and. is_choice(given(P_SPIN), SPIN_UNROTATED) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
+      .and. is_choice(given(P_SPIN), SPIN_CALCULIX) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
       .and. given(P_STIFFNESS) > 0)) return
     par = parameters_from_friction(given(P_MU), nint(given(P_CLOSURE)), nint(given(P_CONTACT)), nint(given(P_CALIBRATION)))
     par%elastic_strain = given(P_ELASTIC_STRAIN)
@@ -264,6 +265,23 @@ contains
       if (change < ROOT_CONVERGED) exit
     end do
   end function polar_rotation
+
+  !> From the derivative of the unrotated stress to U (dS/dE) U U, which CalculiX pulls back by U^-1 into the derivative dS/dE of
+  !! its stress S = J U^-1 stress U^-1 by Lagrange's strain: J (tangent + stress tr D - stress D - D stress), column D by column.
+  pure subroutine take_to_reference(F, stress, tangent)
+    real(dp), intent(in) :: F(3, 3), stress(6)
+    real(dp), intent(inout) :: tangent(:, :)
+    real(dp) :: D(6), carried(LANES, 6), cofactor(3)
+    integer :: j
+
+    cofactor = [F(2, 2) * F(3, 3) - F(3, 2) * F(2, 3), F(3, 2) * F(1, 3) - F(1, 2) * F(3, 3), F(1, 2) * F(2, 3) - F(2, 2) * F(1, 3)]
+    do j = 1, size(tangent, 2)
+      D = 0
+      D(j) = merge(1.0_dp, 0.5_dp, j <= 3)
+      carried = product_symmetric(spread(stress, 1, LANES), spread(D, 1, LANES))
+      tangent(:, j) = dot_product(F(:, 1), cofactor) * (tangent(:, j) + stress * sum(D(:3)) - carried(1, :))
+    end do
+  end subroutine take_to_reference
 
   !> R T R^T of one tensor.
   pure function turned(R, T) result(new)

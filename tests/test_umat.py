@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.linalg import expm, logm, polar
+from scipy.linalg import expm, logm, polar, sqrtm
 
 import reference
 from granumat import Material, tensors
@@ -181,6 +181,28 @@ def test_tangent_in_the_unrotated_frame_is_the_true_one_turned_back(rng, ntens):
     expected = back[:ntens, :ntens] @ true.ddsdde @ turned_strains[:ntens, :ntens]
     np.testing.assert_allclose(unrotated.ddsdde, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     assert np.abs(expected - true.ddsdde).max() > 0.01 * np.abs(expected).max()
+
+
+def test_tangent_for_calculix_is_the_derivative_of_its_stress_by_its_strain(rng):
+    """CalculiX takes U^-1 U^-1 DDSDDE U^-1 U^-1 for dS/dE of S = J U^-1 STRESS U^-1; exact for small increments only."""
+    material, props = material_and_props("full", elastic_strain=0.01, spin=4)
+    statev = statev_of(material.update(material.isotropic(0.60, pressure=0.01), 0.05 * np.outer([1, 0, 0], [0, 0, 1])))
+    start = expm(0.2 * rng.normal(size=(3, 3)))
+    r, end = polar(expm(1e-5 * rng.normal(size=(3, 3))) @ start)
+    lagrange = (end @ end - EYE) / 2
+
+    def second_piola_kirchhoff(strain):
+        u = sqrtm(2 * strain + EYE).real
+        result = call(np.zeros(6), statev, props=props, dstran=np.full(6, np.nan), dfgrd0=start, dfgrd1=r @ u)
+        assert result.status == 0
+        return np.linalg.det(u) * np.linalg.inv(u) @ tensors.full(result.stress) @ np.linalg.inv(u), result.ddsdde
+
+    back, ddsdde = np.linalg.inv(end), second_piola_kirchhoff(lagrange)[1]
+    for unit in unit_gradients():
+        dE = 1e-7 * (unit + unit.T) / 2
+        expected = (second_piola_kirchhoff(lagrange + dE)[0] - second_piola_kirchhoff(lagrange - dE)[0]) / 2
+        taken = back @ tensors.full(ddsdde @ engineering(back @ dE @ back)) @ back
+        np.testing.assert_allclose(taken, expected, rtol=0, atol=1e-3 * 1e-7 * np.abs(ddsdde).max())
 
 
 # ---- frames ----------------------------------------------------------------------------------------------------------
