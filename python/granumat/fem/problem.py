@@ -360,12 +360,13 @@ class Problem:
         return tangent
 
     def _stiffness(self, trial, duration):
-        """Element matrices (cells, n, n) along the nodes' axes."""
+        """Element matrices (cells, n, n) along the nodes' axes, in the system's array."""
         x = self._at_cells(self.positions + self.displacement + trial.u)
         points = trial.volumes.shape
-        stiffness = _core.core_element_stiffness(
+        stiffness = self.system.matrices
+        _core.core_element_stiffness(
             self._mean, self._element.gradients, x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
-            self._tangent(trial, duration).reshape(*points, 6, 9))
+            self._tangent(trial, duration).reshape(*points, 6, 9), stiffness)
         self._pressure_loads(x, trial.t, stiffness)
         turned = self._turned_cells
         if len(turned):
@@ -388,7 +389,7 @@ class Problem:
         forces = self._forces_along_axes(trial.forces)
         if missing.any():
             forces = forces + np.einsum("crk,ck->cr", stiffness, missing[self._nodes].reshape(self.cells, -1))
-        solution = self.system.solve(stiffness, -forces)
+        solution = self.system.solve(-forces)
         return None if solution is None else self._numbering.from_axes(solution + missing)
 
     def _search(self, trial, correction, missing, duration):
