@@ -223,12 +223,13 @@ class Problem:
                 areas = np.zeros(weight.shape[:2])
                 for cells, (values, slopes, weights) in self._by_facet(self._facets(condition.where)):
                     area = np.linalg.norm(_normals(np.einsum("psa,cai->cpsi", slopes, x[cells])), axis=-1)
-                    np.add.at(areas, cells, np.einsum("cp,p,pa->ca", area, weights, values))
+                    areas[cells] += np.einsum("cp,p,pa->ca", area, weights, values)
                 tractions.append((areas, condition.value))
         return lambda t: weight + sum(areas[..., None] * np.asarray(value(t) if callable(value) else value, float)
                                       for areas, value in tractions)
 
     def _by_facet(self, pairs):
+        """(cells, table) of each local facet, every cell once."""
         for local, table in enumerate(self._element.facets):
             cells = pairs[pairs[:, 1] == local, 0]
             if len(cells):
@@ -245,11 +246,11 @@ class Problem:
                 facet = np.einsum("qa,cai->ci", values, x[cells]) / len(weights)
                 outward = np.sign(np.einsum("cpi,ci->c", normals, facet - x[cells].mean(axis=1)))
                 factor = -pressure * outward[:, None] * weights
-                np.add.at(forces, cells, np.einsum("cp,pa,cpi->cai", factor, values, normals))
+                forces[cells] += np.einsum("cp,pa,cpi->cai", factor, values, normals, optimize=True)
                 if stiffness is not None:
                     by_tangent = _normal_slopes(tangents)                          # (c, p, s, i, j)
                     part = np.einsum("cp,pa,cpsij,psb->caibj", factor, values, by_tangent, slopes, optimize=True)
-                    np.subtract.at(stiffness, cells, part.reshape(len(cells), *stiffness.shape[1:]))
+                    stiffness[cells] -= part.reshape(len(cells), *stiffness.shape[1:])
         return forces
 
     # ---- one increment ---------------------------------------------------------------------------------------------

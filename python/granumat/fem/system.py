@@ -12,9 +12,10 @@ _INSERT = 1
 _numbers = itertools.count()                           # of the systems: prefixes of their options
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # The norm is that of the residual itself, from the right: matrices after a reversal or where shear localises are indefinite, and
-# there preconditioned residuals fall while the residual does not.
+# there preconditioned residuals fall while the residual does not. In steady shear nothing hardens: the matrix is nearly singular
+# and no iteration gets there, so it gives up early.
 ITERATIVE = {"mat_type": "baij", "ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 200, "ksp_rtol": 1e-6,
-             "ksp_max_it": 600, "pc_type": "bjacobi", "sub_pc_type": "ilu"}
+             "ksp_max_it": 200, "pc_type": "bjacobi", "sub_pc_type": "ilu"}
 DIRECT_UP_TO = {2: 400_000, 3: 5_000}                  # unknowns, by dimension: the direct solver comes first
 DIRECT_AT_MOST = {2: 2_000_000, 3: 100_000}            # it comes where the iterative solver fails; beyond, its memory counts
 
@@ -108,13 +109,13 @@ class System:
             if self.size > DIRECT_UP_TO[block]:
                 options = ITERATIVE | options
                 if self.size <= DIRECT_AT_MOST[block]:
-                    self._second = _solver(comm, DIRECT)
+                    self._second = make_solver(comm, DIRECT)
             else:
                 options = DIRECT | options
         self._type = options.get("mat_type", "aij")
-        self._operator = matrix if self._type == "aij" else PETSc.Mat()
+        self._operator = matrix if self._type == "aij" else _alike(self._matrix.set(self._values), self._type)
         self._unused = {name: value for name, value in options.items() if name != "mat_type"}       # until the first solution
-        self.solver = _solver(comm, self._unused)
+        self.solver = make_solver(comm, self._unused)
 
     def norm(self, forces):
         """Two-norm of the cells' forces (cells, n), summed into the equations."""
@@ -127,16 +128,23 @@ class System:
         -------
         array (nodes, d), what every displacement component gets along its axes, 0 where it is given; None where the solver fails
         """
-        right = self._right.set(forces)
-        matrix = self._matrix.set(self._values)
-        if self._type != "aij":
-            matrix.convert(self._type, self._operator)
-        solved = self._solve(self.solver, self._operator, right)
-        self._warn_of_unused()
-        if not solved and not (self._second and self._solve(self._second, matrix, right)):
+        self.assemble()
+        if not self.solve_assembled(self._right.set(forces)):
             return None
         self._scatter.scatter(self._solution, self._local)
         return np.where(self._free, self._local.array_r.reshape(self._free.shape), 0)
+
+    def assemble(self):
+        """The matrix of the elements' matrices."""
+        matrix = self._matrix.set(self._values)
+        if self._type != "aij":
+            matrix.convert(self._type, self._operator)
+
+    def solve_assembled(self, right):
+        """Whether the first solver, or the second, solves the equations."""
+        solved = self._solve(self.solver, self._operator, right)
+        self._warn_of_unused()
+        return solved or self._second is not None and self._solve(self._second, self._matrix.target, right)
 
     def _solve(self, solver, matrix, right):
         solver.setOperators(matrix)
@@ -152,7 +160,7 @@ class System:
         self._unused = {}
 
 
-def _solver(comm, options):
+def make_solver(comm, options):
     """A linear solver with options; they stay in PETSc's database, which parts of the solver read when they are first needed."""
     solver = PETSc.KSP().create(comm)
     solver.setOptionsPrefix(f"granumat_{next(_numbers)}_")
@@ -161,6 +169,24 @@ def _solver(comm, options):
         database[name] = value
     solver.setFromOptions()
     return solver
+
+
+def _alike(matrix, kind):
+    """A matrix of another kind with the same pattern, of whole blocks."""
+    first, last = matrix.getOwnershipRange()
+    block = matrix.getBlockSize()
+    inside, outside = [], []
+    for row in range(first, last, block):
+        columns = matrix.getRow(row)[0]
+        own = np.count_nonzero((columns >= first) & (columns < last))
+        inside.append(own // block)
+        outside.append((len(columns) - own) // block)
+    alike = PETSc.Mat().create(comm=matrix.comm)
+    alike.setSizes(matrix.getSizes())
+    alike.setBlockSize(block)
+    alike.setType(kind)
+    alike.setPreallocationNNZ((np.array(inside, PETSc.IntType), np.array(outside, PETSc.IntType)))
+    return alike
 
 
 def _rest_of_blocks(cell_labels, unused, block):
