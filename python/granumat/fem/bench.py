@@ -45,7 +45,7 @@ def shear_cell(comm, n, **options):
         states = np.full(len(x), material.steady(0.60), STATE)
         states["fabric"] *= 0.3
         states["stress"][:, 3:] *= 0.3
-        states["volume_fraction"] += 0.001 * np.sin(2 * np.pi * x).prod(axis=1)
+        states["volume_fraction"] += 0.005 * np.cos(2 * np.pi * x).prod(axis=1)
         return states
 
     def side(axis, end):
