@@ -36,7 +36,8 @@ def main(arguments=None):
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
     command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers").add_argument(
-        "--fem", type=Path, nargs="?", const=Path(), metavar="DIR", help="time a finite-element problem instead, and draw it into DIR")
+        "--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
+        help="time a finite-element problem instead, and draw it into DIR (.)")
     options = parser.parse_args(arguments)
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:

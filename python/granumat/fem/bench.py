@@ -1,10 +1,11 @@
-"""Prints and draws what a Newton iteration costs: who takes the time, beside plain linear elasticity, on two ranks, and how time and
-memory grow with the problem.
+"""Prints and draws what a Newton iteration costs: who takes the time, beside plain linear elasticity, on two ranks, and how time
+and memory grow with the problem.
 
 Every measurement is a process of its own (`python3 -m granumat.fem.bench N`, under mpirun for several ranks): memory is its
 peak, time the processor's.
 """
 
+import contextlib
 import json
 import os
 import resource
@@ -14,10 +15,10 @@ import sys
 import time
 from pathlib import Path
 
-import dolfinx.fem.petsc
 import numpy as np
 import ufl
 from dolfinx import fem
+from dolfinx.fem import petsc
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
@@ -56,9 +57,11 @@ def shear_cell(comm, n, **options):
     return Problem(box(comm, (1, 1, 1), (n, n, n)), material, state, conditions, **options)
 
 
+@contextlib.contextmanager
 def _phases(problem):
-    """Seconds of each phase, filled as the problem runs; what is not material, assembly or solution is coupling."""
+    """Seconds of each phase, filled as the problem runs; coupling is what is not material, assembly or solution."""
     seconds = dict.fromkeys(PHASES, 0.0)
+    watched = []
 
     def time_it(owner, name, phase):
         action = getattr(owner, name)
@@ -70,13 +73,18 @@ def _phases(problem):
             finally:
                 seconds[phase] += time.process_time() - start
         setattr(owner, name, timed)
+        watched.append((owner, name, action))
 
     time_it(problem.material, "update", "material")
     time_it(problem.material, "update_with_tangent", "material")
     time_it(_core, "core_element_stiffness", "assembly")
     time_it(problem.system, "assemble", "assembly")
     time_it(problem.system, "solve_assembled", "solution")
-    return seconds
+    start = time.process_time()
+    yield seconds
+    seconds["coupling"] = time.process_time() - start - sum(seconds.values())
+    for owner, name, action in watched:
+        setattr(owner, name, action)
 
 
 def measure(n, comm=MPI.COMM_WORLD):
@@ -89,25 +97,22 @@ def measure(n, comm=MPI.COMM_WORLD):
     start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     problem = shear_cell(comm, n)
     problem.accept(problem.solve_increment(1.0))
-    seconds = _phases(problem)
     newton = krylov = 0
-    began = time.process_time()
-    for _ in range(INCREMENTS):
-        trial = problem.solve_increment(1.0)
-        newton += len(trial.residuals) - 1
-        krylov += problem.system.solver.getIterationNumber()
-        problem.accept(trial)
-    total = time.process_time() - began
-    seconds["coupling"] = total - sum(seconds.values())
+    with _phases(problem) as seconds:
+        for _ in range(INCREMENTS):
+            trial = problem.solve_increment(1.0)
+            newton += len(trial.residuals) - 1
+            krylov += problem.system.solver.getIterationNumber()
+            problem.accept(trial)
     bytes_used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - start
     found = {"unknowns": problem.system.size, "newton": newton, "krylov": round(krylov / INCREMENTS)}
     found |= {phase: comm.allreduce(value, MPI.MAX) / newton for phase, value in seconds.items()}
-    return found | {"iteration": comm.allreduce(total, MPI.MAX) / newton,
+    return found | {"iteration": comm.allreduce(sum(seconds.values()), MPI.MAX) / newton,
                     "bytes": comm.allreduce(bytes_used) / problem.system.size}
 
 
 def measure_elasticity(n, krylov, matrix_type):
-    """Processor seconds of an iteration of linear elasticity in plain UFL: residual, matrix, solution in so many Krylov iterations."""
+    """Processor seconds of an iteration of linear elasticity in plain UFL: residual, matrix, so many Krylov iterations."""
     problem = shear_cell(MPI.COMM_WORLD, n)
     space = problem.space
     u, v, w = fem.Function(space), ufl.TestFunction(space), ufl.TrialFunction(space)
@@ -120,18 +125,18 @@ def measure_elasticity(n, krylov, matrix_type):
     held = fem.dirichletbc(fem.Function(space), problem.nodes_at(lambda x: np.isclose(x[2], 0) | np.isclose(x[2], 1)))
     left = fem.form(ufl.inner(stress(w), ufl.sym(ufl.grad(v))) * dx)
     right = fem.form(ufl.inner(stress(u), ufl.sym(ufl.grad(v))) * dx)
-    matrix = fem.petsc.create_matrix(left, matrix_type)
+    matrix = petsc.create_matrix(left, matrix_type)
     solver = make_solver(MPI.COMM_WORLD, {name: value for name, value in ITERATIVE.items() if name != "mat_type"}
                          | {"ksp_convergence_test": "skip", "ksp_max_it": krylov})
     u.x.array[:] = np.random.default_rng(0).normal(size=u.x.array.size)
     seconds = []
     for _ in range(REPEATS):
         start = time.process_time()
-        residual = fem.petsc.assemble_vector(right)
+        residual = petsc.assemble_vector(right)
         matrix.zeroEntries()
-        fem.petsc.assemble_matrix(matrix, left, [held])
+        petsc.assemble_matrix(matrix, left, [held])
         matrix.assemble()
-        fem.petsc.set_bc(residual, [held])
+        petsc.set_bc(residual, [held])
         solver.setOperators(matrix)
         solution = residual.duplicate()
         solver.solve(residual, solution)

@@ -144,7 +144,7 @@ class System:
         """Whether the first solver, or the second, solves the equations."""
         solved = self._solve(self.solver, self._operator, right)
         self._warn_of_unused()
-        return solved or self._second is not None and self._solve(self._second, self._matrix.target, right)
+        return solved or (self._second is not None and self._solve(self._second, self._matrix.target, right))
 
     def _solve(self, solver, matrix, right):
         solver.setOperators(matrix)
@@ -156,7 +156,7 @@ class System:
         for name in self._unused:
             _check(_petsc.PetscOptionsUsed(None, f"{self.solver.getOptionsPrefix()}{name}".encode(), ctypes.byref(used)))
             if not used.value:
-                warnings.warn(f"PETSc has not used the solver's option {name!r}")
+                warnings.warn(f"PETSc has not used the solver's option {name!r}", stacklevel=2)
         self._unused = {}
 
 
