@@ -44,7 +44,9 @@ def test_the_iterative_solver_gives_the_answer_of_the_direct_one(size, monkeypat
     monkeypatch.setattr(system, "DIRECT_AT_MOST", NEVER)                       # no second solver to help
     iterative = block(size)
     assert abs(solved(iterative) - expected).max() < 1e-8 * abs(expected).max()
-    assert iterative.system.solver.getPC().getType() == "bjacobi" and iterative.system.solver.getIterationNumber() > 1
+    solver = iterative.system.solver
+    assert solver.getPC().getType() == "bjacobi" and solver.getIterationNumber() > 1
+    assert solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED             # what converges is the residual
 
 
 def test_the_matrix_of_blocks_is_the_one_by_coordinates(monkeypatch):
