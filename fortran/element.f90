@@ -8,8 +8,12 @@
 !> With mean dilatation (B-bar on the moving mesh) every point of a cell gets the cell's volume change, and the pressure that does
 !> work on it is the cell's mean: L = log F + (log(V/V_old) - tr log F) I/d, and forces come from tau = sigma + (P - p_q) I,
 !> p_q = (tr sigma)/d over the d axes of the plane or space, P its mean over the cell's volume V.
+!>
+!> LANES cells go side by side, gathered and scattered cell by cell; a last group that is not full repeats its last cell.
+!> Gradients have three axes in the plane too, where the derivatives along the third are 0.
 module granumat_element
   use granumat_kinds, only: dp
+  use granumat_tensors, only: LANES
   implicit none (type, external)
   private
   public :: element_gradients, element_forces, element_stiffness, INVERTED, TOO_LARGE
@@ -32,43 +36,48 @@ contains
     real(dp), intent(out) :: L(:, :, :, :)                ! (3, 3, points, cells): (j, i) = du_i/dx_j
     real(dp), intent(out) :: volume(:, :)                 ! (points, cells)
     integer, intent(out) :: status(:)                     ! (cells) 0, INVERTED or TOO_LARGE
-    real(dp) :: spatial(size(x, 2), size(x, 1)), old_volume, det_old, det, theta, G(3, 3)
-    integer :: cell, q, i, j, d
-    logical :: converged
+    real(dp), dimension(LANES, size(x, 1), size(x, 2)) :: x_old, du
+    real(dp) :: spatial(LANES, 3, size(x, 2)), G(LANES, 3, 3, size(weights)), point_volume(LANES, size(weights))
+    real(dp), dimension(LANES) :: det_old, det_middle, det, old_volume, new_volume, theta
+    integer :: cell(LANES), found(LANES), first, k, q, i, d
+    logical :: converged(LANES)
 
     d = size(x, 1)
-    status = 0
-    L = 0
-    do cell = 1, size(x, 3)
+    do first = 1, size(x, 3), LANES
+      cell = group(first, size(x, 3))
+      x_old = nodal(x, cell)
+      du = nodal(u, cell)
+      found = 0
       old_volume = 0
+      new_volume = 0
       do q = 1, size(weights)
-        call spatial_gradients(shape_gradients(:, :, q), x(:, :, cell), spatial, det_old)
+        call spatial_gradients(shape_gradients(:, :, q), x_old, spatial, det_old)
+        call spatial_gradients(shape_gradients(:, :, q), x_old + du, spatial, det)
+        call spatial_gradients(shape_gradients(:, :, q), x_old + du / 2, spatial, det_middle)
+        point_volume(:, q) = weights(q) * abs(det)
         old_volume = old_volume + weights(q) * abs(det_old)
-        call spatial_gradients(shape_gradients(:, :, q), x(:, :, cell) + u(:, :, cell), spatial, det)
-        volume(q, cell) = weights(q) * abs(det)
-        if (.not. det / det_old > 0) status(cell) = INVERTED
-        call spatial_gradients(shape_gradients(:, :, q), x(:, :, cell) + u(:, :, cell) / 2, spatial, det)
-        if (.not. det / det_old > 0) status(cell) = INVERTED
-        G = 0
-        do j = 1, d
-          do i = 1, d
-            G(i, j) = dot_product(u(i, :, cell), spatial(:, j))
-          end do
-        end do
-        call logarithm(G, converged)
-        if (.not. converged .and. status(cell) == 0) status(cell) = TOO_LARGE
-        L(:, :, q, cell) = transpose(G)
+        new_volume = new_volume + point_volume(:, q)
+        G(:, :, :, q) = gradient(du, spatial)
+        call logarithm(G(:, :, :, q), converged)
+        where (found == 0 .and. .not. converged) found = TOO_LARGE
+        where (.not. (det / det_old > 0 .and. det_middle / det_old > 0)) found = INVERTED
       end do
-      if (status(cell) /= 0) then
-        L(:, :, :, cell) = 0
-      else if (mean_dilatation) then
+      if (mean_dilatation) then
         do q = 1, size(weights)
-          theta = log(sum(volume(:, cell)) / old_volume) - trace(L(:, :, q, cell), d)
+          theta = log(new_volume / old_volume) - trace(G(:, :, :, q))
           do i = 1, d
-            L(i, i, q, cell) = L(i, i, q, cell) + theta / d
+            G(:, i, i, q) = G(:, i, i, q) + theta / d
           end do
         end do
       end if
+      do k = 1, LANES
+        volume(:, cell(k)) = point_volume(k, :)
+        status(cell(k)) = found(k)
+        do q = 1, size(weights)
+          L(:, :, q, cell(k)) = transpose(G(k, :, :, q))
+        end do
+        if (found(k) /= 0) L(:, :, :, cell(k)) = 0
+      end do
     end do
   end subroutine element_gradients
 
@@ -80,19 +89,29 @@ contains
     real(dp), intent(in) :: stress(:, :, :)               ! (6, points, cells)
     logical, intent(in) :: mean_dilatation
     real(dp), intent(out) :: forces(:, :, :)              ! (d, nodes, cells)
-    real(dp) :: spatial(size(x_new, 2), size(x_new, 1)), tau(3, 3), det, mean
-    integer :: cell, q, i, d
+    real(dp), dimension(LANES, size(x_new, 1), size(x_new, 2)) :: x, f
+    real(dp) :: spatial(LANES, 3, size(x_new, 2)), tau(LANES, 3, 3)
+    real(dp), dimension(LANES) :: det, mean, dv
+    integer :: cell(LANES), first, k, q, a, i
 
-    d = size(x_new, 1)
-    do cell = 1, size(x_new, 3)
-      mean = mean_pressure(stress(:, :, cell), volume(:, cell), d)
-      forces(:, :, cell) = 0
+    do first = 1, size(x_new, 3), LANES
+      cell = group(first, size(x_new, 3))
+      x = nodal(x_new, cell)
+      mean = mean_pressure(stress, volume, cell, size(x_new, 1))
+      f = 0
       do q = 1, size(volume, 1)
-        call spatial_gradients(shape_gradients(:, :, q), x_new(:, :, cell), spatial, det)
-        tau = working_stress(stress(:, q, cell), mean, mean_dilatation, d)
-        do i = 1, d
-          forces(i, :, cell) = forces(i, :, cell) + volume(q, cell) * matmul(spatial, tau(:d, i))
+        call spatial_gradients(shape_gradients(:, :, q), x, spatial, det)
+        tau = working_stress(stress, q, cell, mean, mean_dilatation, size(x_new, 1))
+        dv = volume(q, cell)
+        do a = 1, size(f, 3)
+          do i = 1, size(f, 2)
+            f(:, i, a) = f(:, i, a) + dv * (spatial(:, 1, a) * tau(:, 1, i) + spatial(:, 2, a) * tau(:, 2, i) &
+              + spatial(:, 3, a) * tau(:, 3, i))
+          end do
         end do
+      end do
+      do k = 1, LANES
+        forces(:, :, cell(k)) = f(k, :, :)
       end do
     end do
   end subroutine element_forces
@@ -111,196 +130,253 @@ contains
     real(dp), intent(in) :: tangent(:, :, :, :)           ! (9, 6, points, cells): (j, i) = d stress_i / d (strain_j, spin_j)
     logical, intent(in) :: mean_dilatation
     real(dp), intent(out) :: K(:, :, :)                   ! (d nodes, d nodes, cells), transposed: (column, row)
-    real(dp) :: spatial(size(x_new, 2), size(x_new, 1)), tau(3, 3), E(3, 3, 6), X(3, 3, 3, 3), slope(3, 3), e_iso(6), det, mean
-    real(dp), dimension(size(x_new, 1) * size(x_new, 2)) :: mean_divergence, pressure_column, pressure_row
-    real(dp) :: pressure_square, e_mean, cell_volume
-    integer :: cell, q, i, j, d
+    real(dp) :: x(LANES, size(x_new, 1), size(x_new, 2)), spatial(LANES, 3, size(x_new, 2)), matrix(LANES, size(K, 1), size(K, 2))
+    real(dp), dimension(LANES, size(K, 1)) :: mean_divergence, pressure_column, pressure_row
+    real(dp), dimension(LANES, 3, 3) :: tau, slope, isotropic
+    real(dp) :: E(LANES, 3, 3, 6), e_iso(LANES, 6), X_ij(LANES, 3, 3, 3, 3)
+    real(dp), dimension(LANES) :: det, mean, dv, cell_volume, pressure_square, e_mean, excess
+    integer :: cell(LANES), first, lane, q, i, j, d
 
     d = size(x_new, 1)
-    do cell = 1, size(x_new, 3)
-      K(:, :, cell) = 0
-      cell_volume = sum(volume(:, cell))
-      mean = mean_pressure(stress(:, :, cell), volume(:, cell), d)
+    do first = 1, size(x_new, 3), LANES
+      cell = group(first, size(x_new, 3))
+      x = nodal(x_new, cell)
+      mean = mean_pressure(stress, volume, cell, d)
+      cell_volume = sum(volume(:, cell), 1)
+      matrix = 0
       mean_divergence = 0
       pressure_column = 0
       pressure_row = 0
       pressure_square = 0
       do q = 1, size(volume, 1)
-        call spatial_gradients(shape_gradients(:, :, q), x_new(:, :, cell), spatial, det)
-        tau = working_stress(stress(:, q, cell), mean, mean_dilatation, d)
-        call stress_slopes(tangent(:, :, q, cell), transpose(L(:, :, q, cell)), d, E, e_iso)
+        dv = volume(q, cell)
+        call spatial_gradients(shape_gradients(:, :, q), x, spatial, det)
+        tau = working_stress(stress, q, cell, mean, mean_dilatation, d)
+        call stress_slopes(tangent, L, q, cell, d, E, e_iso)
         if (mean_dilatation) then
           do i = 1, d                                   ! E - e b^T/d
-            E(i, i, :) = E(i, i, :) - e_iso / d
+            E(:, i, i, :) = E(:, i, i, :) - e_iso / d
           end do
           slope = 0                                     ! of the mean over the axes
           e_mean = 0
           do i = 1, d
-            slope = slope + E(:, :, VOIGT(i, i)) / d
-            e_mean = e_mean + e_iso(VOIGT(i, i)) / d
+            slope = slope + E(:, :, :, i) / d
+            e_mean = e_mean + e_iso(:, i) / d
           end do
           do i = 1, d
-            E(:, :, VOIGT(i, i)) = E(:, :, VOIGT(i, i)) - slope
-            e_iso(VOIGT(i, i)) = e_iso(VOIGT(i, i)) - e_mean
+            E(:, :, :, i) = E(:, :, :, i) - slope
+            e_iso(:, i) = e_iso(:, i) - e_mean
           end do
+          excess = axial_mean(stress, q, cell, d) - mean
+          isotropic = 0
           do i = 1, d                                   ! what is left of the change of P
-            slope(i, i) = slope(i, i) + mean_of(stress(:, q, cell), d) - mean
+            slope(:, i, i) = slope(:, i, i) + excess
+            isotropic(:, i, i) = 1 / cell_volume
           end do
-          call add_projection(spatial, volume(q, cell) * identity(d) / cell_volume, mean_divergence)
-          call add_projection(spatial, volume(q, cell) * slope, pressure_row)
-          call add_projection(spatial, volume(q, cell) * to_matrix(e_iso) / d, pressure_column)
-          pressure_square = pressure_square + volume(q, cell) * e_mean / d
+          call add_projection(spatial, dv, isotropic, mean_divergence)
+          call add_projection(spatial, dv, slope, pressure_row)
+          call add_projection(spatial, dv / d, to_matrix(e_iso), pressure_column)
+          pressure_square = pressure_square + dv * e_mean / d
         end if
-        do j = 1, d
-          do i = 1, d
-            X(:, :, i, j) = E(:, :, VOIGT(i, j)) + tau(i, j) * identity(d)      ! (k, l, i, j): of du_k/dx_l on the weight of N,j
-            X(j, :, i, j) = X(j, :, i, j) - tau(i, :)
+        do j = 1, 3
+          do i = 1, 3
+            X_ij(:, :, :, i, j) = E(:, :, :, VOIGT(i, j))      ! (k, l, i, j): of du_k/dx_l on the weight of N,j
+            X_ij(:, 1, 1, i, j) = X_ij(:, 1, 1, i, j) + tau(:, i, j)
+            X_ij(:, 2, 2, i, j) = X_ij(:, 2, 2, i, j) + tau(:, i, j)
+            X_ij(:, 3, 3, i, j) = X_ij(:, 3, 3, i, j) + tau(:, i, j)
+            X_ij(:, j, :, i, j) = X_ij(:, j, :, i, j) - tau(:, i, :)
           end do
         end do
-        call add_product(spatial, volume(q, cell) * X(:d, :d, :d, :d), K(:, :, cell))
+        call add_product(spatial, dv, X_ij, d, matrix)
       end do
       if (mean_dilatation) then
-        do i = 1, size(mean_divergence)
-          K(:, i, cell) = K(:, i, cell) + mean_divergence * pressure_column(i) &
-            + mean_divergence(i) * (pressure_row + pressure_square * mean_divergence)
+        do i = 1, size(K, 2)
+          do j = 1, size(K, 1)
+            matrix(:, j, i) = matrix(:, j, i) + mean_divergence(:, j) * pressure_column(:, i) &
+              + mean_divergence(:, i) * (pressure_row(:, j) + pressure_square * mean_divergence(:, j))
+          end do
         end do
       end if
+      do lane = 1, LANES
+        K(:, :, cell(lane)) = matrix(lane, :, :)
+      end do
     end do
   end subroutine element_stiffness
 
-  !> E(:, :, i): the derivative of stress i by h, as a matrix to be contracted with it; e_iso: by an isotropic strain of d axes (not by h).
-  pure subroutine stress_slopes(tangent, L, d, E, e_iso)
-    real(dp), intent(in) :: tangent(9, 6)
-    real(dp), intent(in) :: L(3, 3)
-    integer, intent(in) :: d
-    real(dp), intent(out) :: E(3, 3, 6)
-    real(dp), intent(out) :: e_iso(6)
-    real(dp) :: slope(3, 3), first(3, 3), second(3, 3), fourth(3, 3)
-    integer :: i, k, m
+  !> The cells of the group that begins with the first.
+  pure function group(first, cells) result(cell)
+    integer, intent(in) :: first
+    integer, intent(in) :: cells
+    integer :: cell(LANES), k
+    cell = min([(first + k, k = 0, LANES - 1)], cells)
+  end function group
 
+  !> What the nodes of a group of cells have.
+  pure function nodal(field, cell) result(values)
+    real(dp), intent(in) :: field(:, :, :)           ! (d, nodes, cells)
+    integer, intent(in) :: cell(LANES)
+    real(dp) :: values(LANES, size(field, 1), size(field, 2))
+    integer :: k
+    do k = 1, LANES
+      values(k, :, :) = field(:, :, cell(k))
+    end do
+  end function nodal
+
+  !> E(:, :, :, i): the derivative of stress i by h, as a matrix to be contracted with it; e_iso: by an isotropic strain of d axes
+  !> (not by h).
+  pure subroutine stress_slopes(tangent, L, q, cell, d, E, e_iso)
+    real(dp), intent(in) :: tangent(:, :, :, :)      ! (9, 6, points, cells)
+    real(dp), intent(in) :: L(:, :, :, :)            ! (3, 3, points, cells)
+    integer, intent(in) :: q
+    integer, intent(in) :: cell(LANES)
+    integer, intent(in) :: d
+    real(dp), intent(out) :: E(LANES, 3, 3, 6)
+    real(dp), intent(out) :: e_iso(LANES, 6)
+    real(dp), dimension(LANES, 3, 3) :: G, slope, first, second, fourth
+    real(dp) :: by_strain_and_spin(LANES, 9)
+    integer :: lane, i, k, m
+
+    do lane = 1, LANES
+      G(lane, :, :) = transpose(L(:, :, q, cell(lane)))
+    end do
     e_iso = 0
     do i = 1, 6
+      do lane = 1, LANES
+        by_strain_and_spin(lane, :) = tangent(:, i, q, cell(lane))
+      end do
       do m = 1, 3
         do k = 1, 3
-          slope(k, m) = tangent(VOIGT(k, m), i)
-          if (k /= m) slope(k, m) = slope(k, m) + sign(0.5_dp, real(SPIN(k, m), dp)) * tangent(abs(SPIN(k, m)), i)
+          slope(:, k, m) = by_strain_and_spin(:, VOIGT(k, m))
+          if (k /= m) slope(:, k, m) = slope(:, k, m) &
+            + sign(0.5_dp, real(SPIN(k, m), dp)) * by_strain_and_spin(:, abs(SPIN(k, m)))
         end do
       end do
       do k = 1, d
-        e_iso(i) = e_iso(i) + slope(k, k)
+        e_iso(:, i) = e_iso(:, i) + slope(:, k, k)
       end do
-      first = commutator(L, slope)
-      second = commutator(L, first)
-      fourth = commutator(L, commutator(L, second))
-      E(:, :, i) = slope - first / 2 + second / 12 - fourth / 720
+      first = commutator(G, slope)
+      second = commutator(G, first)
+      fourth = commutator(G, commutator(G, second))
+      E(:, :, :, i) = slope - first / 2 + second / 12 - fourth / 720
     end do
   end subroutine stress_slopes
 
-  !> R -> L^T R - R L^T, so that (its result) : h = R : [L, h].
-  pure function commutator(L, R) result(adjoint)
-    real(dp), intent(in) :: L(3, 3)
-    real(dp), intent(in) :: R(3, 3)
-    real(dp) :: adjoint(3, 3)
-    adjoint = matmul(transpose(L), R) - matmul(R, transpose(L))
+  !> R -> G^T R - R G^T, so that (its result) : h = R : [G, h].
+  pure function commutator(G, R) result(adjoint)
+    real(dp), intent(in), dimension(LANES, 3, 3) :: G, R
+    real(dp) :: adjoint(LANES, 3, 3)
+    integer :: i, j
+    do j = 1, 3
+      do i = 1, 3
+        adjoint(:, i, j) = G(:, 1, i) * R(:, 1, j) + G(:, 2, i) * R(:, 2, j) + G(:, 3, i) * R(:, 3, j) &
+          - R(:, i, 1) * G(:, j, 1) - R(:, i, 2) * G(:, j, 2) - R(:, i, 3) * G(:, j, 3)
+      end do
+    end do
   end function commutator
 
-  !> K(:, :) += G^T X G for the gradients G of all nodes; (column, row).
-  pure subroutine add_product(spatial, X, K)
-    real(dp), intent(in) :: spatial(:, :)            ! (nodes, d)
-    real(dp), intent(in) :: X(:, :, :, :)            ! (k, l, i, j): column's component and derivative, row's
-    real(dp), intent(inout) :: K(:, :)               ! (d nodes, d nodes)
-    real(dp) :: T(size(K, 1), size(spatial, 2))
-    integer :: a, i, j, k_axis, m, d
+  !> matrix += dv G^T X G for the gradients G of all nodes; (column, row).
+  pure subroutine add_product(spatial, dv, X, d, matrix)
+    real(dp), intent(in) :: spatial(:, :, :)         ! (LANES, 3, nodes)
+    real(dp), intent(in) :: dv(LANES)
+    real(dp), intent(in) :: X(LANES, 3, 3, 3, 3)     ! (k, l, i, j): column's component and derivative, row's
+    integer, intent(in) :: d
+    real(dp), intent(inout) :: matrix(:, :, :)       ! (LANES, d nodes, d nodes)
+    real(dp) :: T(LANES, 3)
+    integer :: a, b, i, j, k, row, column
 
-    d = size(spatial, 2)
-    do i = 1, d
-      do j = 1, d
-        do k_axis = 1, d
-          T(k_axis::d, j) = 0
-          do m = 1, d
-            T(k_axis::d, j) = T(k_axis::d, j) + X(k_axis, m, i, j) * spatial(:, m)
+    do b = 1, size(spatial, 3)
+      do k = 1, d
+        column = (b - 1) * d + k
+        do i = 1, d
+          do j = 1, 3
+            T(:, j) = dv * (X(:, k, 1, i, j) * spatial(:LANES, 1, b) + X(:, k, 2, i, j) * spatial(:LANES, 2, b) &
+              + X(:, k, 3, i, j) * spatial(:LANES, 3, b))
           end do
-        end do
-      end do
-      do a = 1, size(spatial, 1)
-        do j = 1, d
-          K(:, (a - 1) * d + i) = K(:, (a - 1) * d + i) + spatial(a, j) * T(:, j)
+          do a = 1, size(spatial, 3)
+            row = (a - 1) * d + i
+            matrix(:LANES, column, row) = matrix(:LANES, column, row) + T(:, 1) * spatial(:LANES, 1, a) &
+              + T(:, 2) * spatial(:LANES, 2, a) + T(:, 3) * spatial(:LANES, 3, a)
+          end do
         end do
       end do
     end do
   end subroutine add_product
 
-  !> v += G^T m: m_ij weighs d(du_i)/dx_j.
-  pure subroutine add_projection(spatial, m, v)
-    real(dp), intent(in) :: spatial(:, :)            ! (nodes, d)
-    real(dp), intent(in) :: m(3, 3)
-    real(dp), intent(inout) :: v(:)                  ! (d nodes)
-    integer :: i, j, d
-    d = size(spatial, 2)
-    do i = 1, d
-      do j = 1, d
-        v(i::d) = v(i::d) + m(i, j) * spatial(:, j)
+  !> v += s G^T m: m_ij weighs d(du_i)/dx_j.
+  pure subroutine add_projection(spatial, s, m, v)
+    real(dp), intent(in) :: spatial(:, :, :)         ! (LANES, 3, nodes)
+    real(dp), intent(in) :: s(LANES)
+    real(dp), intent(in) :: m(LANES, 3, 3)
+    real(dp), intent(inout) :: v(:, :)               ! (LANES, d nodes)
+    integer :: a, i, d, row
+    d = size(v, 2) / size(spatial, 3)
+    do a = 1, size(spatial, 3)
+      do i = 1, d
+        row = (a - 1) * d + i
+        v(:LANES, row) = v(:LANES, row) + s * (m(:, i, 1) * spatial(:LANES, 1, a) + m(:, i, 2) * spatial(:LANES, 2, a) &
+          + m(:, i, 3) * spatial(:LANES, 3, a))
       end do
     end do
   end subroutine add_projection
 
   !> The stress that works on the actual gradients: with mean dilatation the cell's mean pressure takes the place of the point's.
-  pure function working_stress(stress, mean, mean_dilatation, d) result(tau)
-    real(dp), intent(in) :: stress(6)
-    real(dp), intent(in) :: mean
+  pure function working_stress(stress, q, cell, mean, mean_dilatation, d) result(tau)
+    real(dp), intent(in) :: stress(:, :, :)          ! (6, points, cells)
+    integer, intent(in) :: q
+    integer, intent(in) :: cell(LANES)
+    real(dp), intent(in) :: mean(LANES)
     logical, intent(in) :: mean_dilatation
     integer, intent(in) :: d
-    real(dp) :: tau(3, 3)
-    tau = to_matrix(stress)
-    if (mean_dilatation) tau = tau + (mean - mean_of(stress, d)) * identity(d)
+    real(dp) :: tau(LANES, 3, 3), excess(LANES)
+    integer :: i
+    tau = to_matrix(transpose(stress(:, q, cell)))
+    if (.not. mean_dilatation) return
+    excess = mean - axial_mean(stress, q, cell, d)
+    do i = 1, 3
+      tau(:, i, i) = tau(:, i, i) + excess
+    end do
   end function working_stress
 
-  pure function mean_pressure(stress, volume, d) result(mean)
-    real(dp), intent(in) :: stress(:, :)
-    real(dp), intent(in) :: volume(:)
+  !> The cells' volume means of the stress's mean over d axes.
+  pure function mean_pressure(stress, volume, cell, d) result(mean)
+    real(dp), intent(in) :: stress(:, :, :)          ! (6, points, cells)
+    real(dp), intent(in) :: volume(:, :)             ! (points, cells)
+    integer, intent(in) :: cell(LANES)
     integer, intent(in) :: d
-    real(dp) :: mean
+    real(dp) :: mean(LANES)
     integer :: q
     mean = 0
-    do q = 1, size(volume)
-      mean = mean + volume(q) * mean_of(stress(:, q), d)
+    do q = 1, size(volume, 1)
+      mean = mean + volume(q, cell) * axial_mean(stress, q, cell, d)
     end do
-    mean = mean / sum(volume)
+    mean = mean / sum(volume(:, cell), 1)
   end function mean_pressure
 
-  pure real(dp) function mean_of(stress, d)
-    real(dp), intent(in) :: stress(6)
+  pure function axial_mean(stress, q, cell, d) result(mean)
+    real(dp), intent(in) :: stress(:, :, :)          ! (6, points, cells)
+    integer, intent(in) :: q
+    integer, intent(in) :: cell(LANES)
     integer, intent(in) :: d
-    mean_of = sum(stress(:d)) / d
-  end function mean_of
-
-  pure real(dp) function trace(matrix, d)
-    real(dp), intent(in) :: matrix(3, 3)
-    integer, intent(in) :: d
-    integer :: i
-    trace = 0
-    do i = 1, d
-      trace = trace + matrix(i, i)
+    real(dp) :: mean(LANES)
+    integer :: k
+    do k = 1, LANES
+      mean(k) = sum(stress(:d, q, cell(k))) / d
     end do
+  end function axial_mean
+
+  pure function trace(matrix) result(tr)
+    real(dp), intent(in) :: matrix(LANES, 3, 3)
+    real(dp) :: tr(LANES)
+    tr = matrix(:, 1, 1) + matrix(:, 2, 2) + matrix(:, 3, 3)
   end function trace
 
-  pure function identity(d) result(matrix)
-    integer, intent(in) :: d
-    real(dp) :: matrix(3, 3)
-    integer :: i
-    matrix = 0
-    do i = 1, d
-      matrix(i, i) = 1
-    end do
-  end function identity
-
   pure function to_matrix(six) result(matrix)
-    real(dp), intent(in) :: six(6)
-    real(dp) :: matrix(3, 3)
+    real(dp), intent(in) :: six(LANES, 6)
+    real(dp) :: matrix(LANES, 3, 3)
     integer :: i, j
     do j = 1, 3
       do i = 1, 3
-        matrix(i, j) = six(VOIGT(i, j))
+        matrix(:, i, j) = six(:, VOIGT(i, j))
       end do
     end do
   end function to_matrix
@@ -308,49 +384,102 @@ contains
   !> Derivatives of the shape functions by position, where the nodes are at x; det is that of the map from the reference cell.
   pure subroutine spatial_gradients(reference, x, spatial, det)
     real(dp), intent(in) :: reference(:, :)          ! (nodes, d)
-    real(dp), intent(in) :: x(:, :)                  ! (d, nodes)
-    real(dp), intent(out) :: spatial(:, :)           ! (nodes, d)
-    real(dp), intent(out) :: det
-    real(dp) :: jacobian(size(x, 1), size(x, 1)), inverse(size(x, 1), size(x, 1))
-    integer :: d
+    real(dp), intent(in) :: x(:, :, :)               ! (LANES, d, nodes)
+    real(dp), intent(out) :: spatial(:, :, :)        ! (LANES, 3, nodes)
+    real(dp), intent(out) :: det(LANES)
+    real(dp) :: jacobian(LANES, 3, 3), inverse(LANES, 3, 3)
+    integer :: a, i, j, d
 
-    d = size(x, 1)
-    jacobian = matmul(x, reference)
-    if (d == 2) then
-      inverse = reshape([jacobian(2, 2), -jacobian(2, 1), -jacobian(1, 2), jacobian(1, 1)], [2, 2])
-    else
-      inverse(1, :) = cross(jacobian(:, 2), jacobian(:, 3))
-      inverse(2, :) = cross(jacobian(:, 3), jacobian(:, 1))
-      inverse(3, :) = cross(jacobian(:, 1), jacobian(:, 2))
-    end if
-    det = dot_product(inverse(1, :), jacobian(:, 1))
+    d = size(x, 2)
+    jacobian = 0
+    if (d == 2) jacobian(:, 3, 3) = 1
+    do a = 1, size(reference, 1)
+      do j = 1, d
+        do i = 1, d
+          jacobian(:, i, j) = jacobian(:, i, j) + x(:LANES, i, a) * reference(a, j)
+        end do
+      end do
+    end do
+    inverse(:, 1, :) = cross(jacobian(:, :, 2), jacobian(:, :, 3))
+    inverse(:, 2, :) = cross(jacobian(:, :, 3), jacobian(:, :, 1))
+    inverse(:, 3, :) = cross(jacobian(:, :, 1), jacobian(:, :, 2))
+    det = inverse(:, 1, 1) * jacobian(:, 1, 1) + inverse(:, 1, 2) * jacobian(:, 2, 1) + inverse(:, 1, 3) * jacobian(:, 3, 1)
+    do j = 1, 3
+      do i = 1, 3
+        inverse(:, i, j) = merge(inverse(:, i, j) / det, 0.0_dp, abs(det) > 0)
+      end do
+    end do
     spatial = 0
-    if (abs(det) > 0) spatial = matmul(reference, inverse / det)
+    do a = 1, size(reference, 1)
+      do j = 1, d
+        do i = 1, d
+          spatial(:LANES, j, a) = spatial(:LANES, j, a) + reference(a, i) * inverse(:, i, j)
+        end do
+      end do
+    end do
   end subroutine spatial_gradients
 
   pure function cross(a, b) result(c)
-    real(dp), intent(in) :: a(3)
-    real(dp), intent(in) :: b(3)
-    real(dp) :: c(3)
-    c = [a(2) * b(3) - a(3) * b(2), a(3) * b(1) - a(1) * b(3), a(1) * b(2) - a(2) * b(1)]
+    real(dp), intent(in), dimension(LANES, 3) :: a, b
+    real(dp) :: c(LANES, 3)
+    c(:, 1) = a(:, 2) * b(:, 3) - a(:, 3) * b(:, 2)
+    c(:, 2) = a(:, 3) * b(:, 1) - a(:, 1) * b(:, 3)
+    c(:, 3) = a(:, 1) * b(:, 2) - a(:, 2) * b(:, 1)
   end function cross
+
+  !> G(:, i, j) = du_i/dx_j
+  pure function gradient(u, spatial) result(G)
+    real(dp), intent(in) :: u(:, :, :)               ! (LANES, d, nodes)
+    real(dp), intent(in) :: spatial(:, :, :)         ! (LANES, 3, nodes)
+    real(dp) :: G(LANES, 3, 3)
+    integer :: a, i, j
+    G = 0
+    do a = 1, size(u, 3)
+      do j = 1, 3
+        do i = 1, size(u, 2)
+          G(:, i, j) = G(:, i, j) + u(:LANES, i, a) * spatial(:LANES, j, a)
+        end do
+      end do
+    end do
+  end function gradient
 
   !> G = 2 (F - I)(F + I)^-1, the increment's gradient in its middle, becomes log F = 2 artanh(G/2).
   pure subroutine logarithm(G, converged)
-    real(dp), intent(inout) :: G(3, 3)
-    logical, intent(out) :: converged
-    real(dp) :: square(3, 3), power(3, 3), term(3, 3)
-    integer :: m
+    real(dp), intent(inout) :: G(LANES, 3, 3)
+    logical, intent(out) :: converged(LANES)
+    real(dp), dimension(LANES, 3, 3) :: square, power, term
+    real(dp) :: largest(LANES), last(LANES)
+    integer :: i, j, m
 
-    square = matmul(G, G) / 4
+    square = product_of(G, G) / 4
     power = G
+    converged = .false.
     do m = 1, MAX_TERMS
-      power = matmul(power, square)
+      power = product_of(power, square)
       term = power / (2 * m + 1)
-      G = G + term
-      converged = maxval(abs(term)) <= epsilon(1.0_dp) * maxval(abs(G)) / 2
-      if (converged) exit
+      largest = 0
+      last = 0
+      do j = 1, 3
+        do i = 1, 3
+          G(:, i, j) = G(:, i, j) + merge(0.0_dp, term(:, i, j), converged)
+          largest = max(largest, abs(G(:, i, j)))
+          last = max(last, abs(term(:, i, j)))
+        end do
+      end do
+      converged = converged .or. last <= epsilon(1.0_dp) * largest / 2
+      if (all(converged)) exit
     end do
   end subroutine logarithm
+
+  pure function product_of(A, B) result(C)
+    real(dp), intent(in), dimension(LANES, 3, 3) :: A, B
+    real(dp) :: C(LANES, 3, 3)
+    integer :: i, j
+    do j = 1, 3
+      do i = 1, 3
+        C(:, i, j) = A(:, i, 1) * B(:, 1, j) + A(:, i, 2) * B(:, 2, j) + A(:, i, 3) * B(:, 3, j)
+      end do
+    end do
+  end function product_of
 
 end module granumat_element

@@ -35,7 +35,9 @@ def main(arguments=None):
         "names", nargs="*", metavar="SCENE", help=f"from {', '.join(SCENES)}; all if none is given")
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
-    command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
+    command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers").add_argument(
+        "--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
+        help="time a finite-element problem instead, and draw it into DIR (.)")
     options = parser.parse_args(arguments)
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
@@ -84,8 +86,12 @@ def run_chart(options):
 
 
 def run_bench(options):
-    from .bench import print_ratios
-    print_ratios()
+    if options.fem:
+        from .fem.bench import print_fem
+        print_fem(options.fem)
+    else:
+        from .bench import print_ratios
+        print_ratios()
 
 
 def run_wellposed(options):

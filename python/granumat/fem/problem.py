@@ -223,12 +223,13 @@ class Problem:
                 areas = np.zeros(weight.shape[:2])
                 for cells, (values, slopes, weights) in self._by_facet(self._facets(condition.where)):
                     area = np.linalg.norm(_normals(np.einsum("psa,cai->cpsi", slopes, x[cells])), axis=-1)
-                    np.add.at(areas, cells, np.einsum("cp,p,pa->ca", area, weights, values))
+                    areas[cells] += np.einsum("cp,p,pa->ca", area, weights, values)
                 tractions.append((areas, condition.value))
         return lambda t: weight + sum(areas[..., None] * np.asarray(value(t) if callable(value) else value, float)
                                       for areas, value in tractions)
 
     def _by_facet(self, pairs):
+        """(cells, table) of each local facet, every cell once."""
         for local, table in enumerate(self._element.facets):
             cells = pairs[pairs[:, 1] == local, 0]
             if len(cells):
@@ -245,11 +246,11 @@ class Problem:
                 facet = np.einsum("qa,cai->ci", values, x[cells]) / len(weights)
                 outward = np.sign(np.einsum("cpi,ci->c", normals, facet - x[cells].mean(axis=1)))
                 factor = -pressure * outward[:, None] * weights
-                np.add.at(forces, cells, np.einsum("cp,pa,cpi->cai", factor, values, normals))
+                forces[cells] += np.einsum("cp,pa,cpi->cai", factor, values, normals, optimize=True)
                 if stiffness is not None:
                     by_tangent = _normal_slopes(tangents)                          # (c, p, s, i, j)
                     part = np.einsum("cp,pa,cpsij,psb->caibj", factor, values, by_tangent, slopes, optimize=True)
-                    np.subtract.at(stiffness, cells, part.reshape(len(cells), *stiffness.shape[1:]))
+                    stiffness[cells] -= part.reshape(len(cells), *stiffness.shape[1:])
         return forces
 
     # ---- one increment ---------------------------------------------------------------------------------------------
@@ -360,12 +361,13 @@ class Problem:
         return tangent
 
     def _stiffness(self, trial, duration):
-        """Element matrices (cells, n, n) along the nodes' axes."""
+        """Element matrices (cells, n, n) along the nodes' axes, in the system's array."""
         x = self._at_cells(self.positions + self.displacement + trial.u)
         points = trial.volumes.shape
-        stiffness = _core.core_element_stiffness(
+        stiffness = self.system.matrices
+        _core.core_element_stiffness(
             self._mean, self._element.gradients, x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
-            self._tangent(trial, duration).reshape(*points, 6, 9))
+            self._tangent(trial, duration).reshape(*points, 6, 9), stiffness)
         self._pressure_loads(x, trial.t, stiffness)
         turned = self._turned_cells
         if len(turned):
@@ -388,7 +390,7 @@ class Problem:
         forces = self._forces_along_axes(trial.forces)
         if missing.any():
             forces = forces + np.einsum("crk,ck->cr", stiffness, missing[self._nodes].reshape(self.cells, -1))
-        solution = self.system.solve(stiffness, -forces)
+        solution = self.system.solve(-forces)
         return None if solution is None else self._numbering.from_axes(solution + missing)
 
     def _search(self, trial, correction, missing, duration):

@@ -1,0 +1,212 @@
+"""Prints and draws what a Newton iteration costs: who takes the time, beside plain linear elasticity, on two ranks, and how time
+and memory grow with the problem.
+
+Every measurement is a process of its own (`python3 -m granumat.fem.bench N`, under mpirun for several ranks): memory is its
+peak, time the processor's.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import ufl
+from dolfinx import fem
+from dolfinx.fem import petsc
+from matplotlib.figure import Figure
+from mpi4py import MPI
+
+from .. import _core
+from ..material import STATE, Material
+from .conditions import Displacement, Periodic
+from .meshes import box
+from .problem import Problem
+from .system import ITERATIVE, make_solver
+
+CELLS = 27                             # a side: 19 683 hexahedra
+SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns
+SHEAR = 0.005                          # of an increment
+INCREMENTS = 2
+REPEATS = 5
+PHASES = ("material", "coupling", "assembly", "solution")
+
+
+def shear_cell(comm, n, **options):
+    """A cube of n**3 hexahedra in simple shear at constant volume, periodic sides, on its way to a steady state, a volume fraction
+    that varies in space."""
+    material = Material(0.5, elastic_strain=1e-2)
+
+    def state(x):
+        states = np.full(len(x), material.steady(0.60), STATE)
+        states["fabric"] *= 0.3
+        states["stress"][:, 3:] *= 0.3
+        states["volume_fraction"] += 0.005 * np.cos(2 * np.pi * x).prod(axis=1)
+        return states
+
+    def side(axis, end):
+        return lambda x: np.isclose(x[axis], end)
+
+    conditions = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0]))]
+    conditions += [Periodic(side(axis, 1), lambda x, axis=axis: x - np.eye(3)[axis]) for axis in range(2)]
+    return Problem(box(comm, (1, 1, 1), (n, n, n)), material, state, conditions, **options)
+
+
+@contextlib.contextmanager
+def _phases(problem):
+    """Seconds of each phase, filled as the problem runs; coupling is what is not material, assembly or solution."""
+    seconds = dict.fromkeys(PHASES, 0.0)
+    watched = []
+
+    def time_it(owner, name, phase):
+        action = getattr(owner, name)
+
+        def timed(*arguments, **options):
+            start = time.process_time()
+            try:
+                return action(*arguments, **options)
+            finally:
+                seconds[phase] += time.process_time() - start
+        setattr(owner, name, timed)
+        watched.append((owner, name, action))
+
+    time_it(problem.material, "update", "material")
+    time_it(problem.material, "update_with_tangent", "material")
+    time_it(_core, "core_element_stiffness", "assembly")
+    time_it(problem.system, "assemble", "assembly")
+    time_it(problem.system, "solve_assembled", "solution")
+    start = time.process_time()
+    yield seconds
+    seconds["coupling"] = time.process_time() - start - sum(seconds.values())
+    for owner, name, action in watched:
+        setattr(owner, name, action)
+
+
+def measure(n, comm=MPI.COMM_WORLD):
+    """What the shear cell costs: unknowns, Newton and Krylov iterations, processor seconds of a Newton iteration, bytes an unknown.
+
+    Seconds and bytes are those of the rank that has most.
+    """
+    problem = shear_cell(comm, 2)                                  # everything that is imported or made once
+    problem.accept(problem.solve_increment(1.0))
+    start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    problem = shear_cell(comm, n)
+    problem.accept(problem.solve_increment(1.0))
+    newton = krylov = 0
+    with _phases(problem) as seconds:
+        for _ in range(INCREMENTS):
+            trial = problem.solve_increment(1.0)
+            newton += len(trial.residuals) - 1
+            krylov += problem.system.solver.getIterationNumber()
+            problem.accept(trial)
+    bytes_used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - start
+    found = {"unknowns": problem.system.size, "newton": newton, "krylov": round(krylov / INCREMENTS)}
+    found |= {phase: comm.allreduce(value, MPI.MAX) / newton for phase, value in seconds.items()}
+    return found | {"iteration": comm.allreduce(sum(seconds.values()), MPI.MAX) / newton,
+                    "bytes": comm.allreduce(bytes_used) / problem.system.size}
+
+
+def measure_elasticity(n, krylov, matrix_type):
+    """Processor seconds of an iteration of linear elasticity in plain UFL: residual, matrix, so many Krylov iterations."""
+    problem = shear_cell(MPI.COMM_WORLD, n)
+    space = problem.space
+    u, v, w = fem.Function(space), ufl.TestFunction(space), ufl.TrialFunction(space)
+
+    def stress(displacement):
+        strain = ufl.sym(ufl.grad(displacement))
+        return ufl.tr(strain) * ufl.Identity(3) + 2 * strain
+
+    dx = ufl.dx(metadata={"quadrature_degree": 2})                 # as many points as granumat's cells have
+    held = fem.dirichletbc(fem.Function(space), problem.nodes_at(lambda x: np.isclose(x[2], 0) | np.isclose(x[2], 1)))
+    left = fem.form(ufl.inner(stress(w), ufl.sym(ufl.grad(v))) * dx)
+    right = fem.form(ufl.inner(stress(u), ufl.sym(ufl.grad(v))) * dx)
+    matrix = petsc.create_matrix(left, matrix_type)
+    solver = make_solver(MPI.COMM_WORLD, {name: value for name, value in ITERATIVE.items() if name != "mat_type"}
+                         | {"ksp_convergence_test": "skip", "ksp_max_it": krylov})
+    u.x.array[:] = np.random.default_rng(0).normal(size=u.x.array.size)
+    seconds = []
+    for _ in range(REPEATS):
+        start = time.process_time()
+        residual = petsc.assemble_vector(right)
+        matrix.zeroEntries()
+        petsc.assemble_matrix(matrix, left, [held])
+        matrix.assemble()
+        petsc.set_bc(residual, [held])
+        solver.setOperators(matrix)
+        solution = residual.duplicate()
+        solver.solve(residual, solution)
+        seconds.append(time.process_time() - start)
+    return statistics.median(seconds)
+
+
+def _run(arguments, ranks=1):
+    """What a process of its own, or several, measured."""
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+                                "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
+    command = [sys.executable, "-m", "granumat.fem.bench", *map(str, arguments)]
+    launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
+    result = subprocess.run(launcher + command, env=environment, capture_output=True, text=True, check=True)
+    return json.loads(result.stdout.splitlines()[-1])
+
+
+def print_fem(directory, n=CELLS, sizes=SIZES):
+    """Prints the ratios and draws them into directory/fem-cost.png."""
+    one = _run([n])
+    elasticity = {kind: _run([n, one["krylov"], kind]) for kind in ("aij", "baij")}
+    pairs = [(_run([n]), _run([n], ranks=2)) for _ in range(3)]
+    two = statistics.median(pair[1]["iteration"] / pair[0]["iteration"] for pair in pairs)
+    growth = [_run([size]) for size in sizes]
+    print(f"shear cell of {n**3} hexahedra, {one['unknowns']} unknowns: {one['newton'] / INCREMENTS:.1f} Newton iterations an "
+          f"increment, {one['krylov']} Krylov iterations each, {one['iteration']:.2f} s of one processor a Newton iteration:")
+    for phase in PHASES:
+        print(f"  {phase:9} {one[phase] / one['iteration']:6.1%}")
+    for kind, seconds in elasticity.items():
+        print(f"  {one['iteration'] / seconds:.2f} x an iteration of linear elasticity in UFL into {kind.upper()}, as many Krylov "
+              "iterations")
+    busy = os.getloadavg()[0] / os.cpu_count()
+    print(f"  2 ranks take {two:.2f} of the time of 1 (median of 3; the processors were asked for {busy:.1f} times over)")
+    print(f"{'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12}")
+    for row in growth:
+        print(f"{row['unknowns']:>10} {row['newton'] / INCREMENTS:>8.1f} {row['krylov']:>8} "
+              f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f}")
+    path = Path(directory) / "fem-cost.png"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw(one, elasticity, growth).savefig(path, dpi=110)
+    print(f"wrote {path}")
+
+
+def draw(one, elasticity, growth):
+    """The shares beside linear elasticity, and the growth."""
+    figure = Figure(figsize=(11, 3.8), layout="constrained")
+    bars, times, memory = figure.subplots(1, 3)
+    bottom = 0.0
+    for phase in PHASES:
+        bars.bar("granumat", one[phase], bottom=bottom, label=phase)
+        bottom += one[phase]
+    for kind, seconds in elasticity.items():
+        bars.bar(f"elasticity\n{kind.upper()}", seconds, color="0.6")
+    bars.set_ylabel("processor seconds of a Newton iteration")
+    bars.legend(frameon=False, fontsize="small")
+    unknowns = [row["unknowns"] for row in growth]
+    for phase in PHASES:
+        times.loglog(unknowns, [row[phase] / row["unknowns"] * 1e6 for row in growth], "o-", label=phase)
+    times.set_ylabel("µs of an iteration per unknown")
+    memory.semilogx(unknowns, [row["bytes"] / 1e3 for row in growth], "ko-")
+    memory.set_ylim(0)
+    memory.set_ylabel("kB per unknown")
+    for axes in (times, memory):
+        axes.set_xlabel("unknowns")
+        axes.grid(linewidth=0.3, which="both")
+    return figure
+
+
+if __name__ == "__main__":
+    cells, *others = sys.argv[1:]
+    result = measure_elasticity(int(cells), int(others[0]), others[1]) if others else measure(int(cells))
+    if MPI.COMM_WORLD.rank == 0:
+        print(json.dumps(result))
