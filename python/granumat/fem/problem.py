@@ -18,7 +18,7 @@ from .system import System
 
 ELEMENT_FAILURES = ("", "the mesh is inverted", "the increment turns or strains a cell by too much")
 LARGEST_CUT = 1 / 16                       # of a correction, by the line search
-ROUND_OFF = 1e-12                          # of displacements, relative to a correction or to the size of the body
+ROUND_OFF = 1e-12                          # of displacements, relative to what they add to
 SUFFICIENT = 1e-4                          # part of the expected decrease that a correction must bring
 
 
@@ -31,8 +31,7 @@ class Tolerances:
     force : float
         Norm of the residual forces, relative to that of all cells' nodal forces.
     correction : float
-        Largest last correction of a displacement, relative to the largest displacement of the increment; one of round-off,
-        as in a pause, counts as none.
+        Largest last correction of a displacement, relative to the largest displacement of the increment.
     iterations : int
         At most so many Newton iterations.
     """
@@ -152,8 +151,7 @@ class Problem:
         self._all_nodes = cell_nodes(self.space)
         self._nodes = self._all_nodes[:self.cells]
         self.positions = np.ascontiguousarray(self.space.tabulate_dof_coordinates()[:, :d])
-        center = self.positions[0] if len(self.positions) else np.zeros(d)
-        self._extent = self._largest(self.positions - self.comm.bcast(center))
+        self._size = self._largest(self.positions)
         self._numbering = Numbering(self.space, self.positions, self.nodes_at, self.conditions)
         cell_labels = self._numbering.labels[self._nodes].reshape(self.cells, -1)
         owned = self.space.dofmap.index_map.size_local * d
@@ -282,8 +280,8 @@ class Problem:
             residuals.append(trial.residual)
             trial.residuals = residuals
             if not trial.failure and part == 1:
-                small = max(self.tolerances.correction * self._largest(trial.u), ROUND_OFF * self._extent)
-                if trial.residual <= self.tolerances.force and self._largest(correction) <= small:
+                settled = self.tolerances.correction * self._largest(trial.u) + ROUND_OFF * self._size
+                if trial.residual <= self.tolerances.force and self._largest(correction) <= settled:
                     return trial
         trial.failure = (f"Newton's iteration does not converge: relative residual {trial.residual:.1e} "
                          f"after {self.tolerances.iterations} iterations")
@@ -415,7 +413,8 @@ class Problem:
     def reaction(self, where, center=None):
         """Force (d) that holds a part of the boundary, beyond the loads given on it, and its moment about a center.
 
-        In plane strain per length along z; the moment is a number there, a vector (3) in three dimensions.
+        In plane strain per length along z; the moment is a number there, a vector (3) in three dimensions. Where parts meet,
+        the force on a common node counts for each of them.
         """
         if self.last is None:
             raise ValueError("there is no reaction before the first increment")
