@@ -1,6 +1,13 @@
+# %% [markdown]
+# # A block between rough platens, and what regularises its shear bands
+#
+# Plane-strain compression under a constant side pressure. The rough platens hold dead wedges; between them shear concentrates into
+# crossing bands. The law has no length: the bands are about one and a half cells wide on any mesh. Three meshes, with a smaller
+# elastic strain scale, with the larger one that fits discrete-element data, and with the rate term: what each changes in the
+# force, and whether the bands' share of the block converges.
+
 # %%
 import sys
-import tomllib
 from pathlib import Path
 
 import fields
@@ -10,11 +17,14 @@ from mpi4py import MPI
 
 from granumat import Material, fem
 
-PROBLEM = tomllib.loads((Path(__file__).parent / "linking/calculix/block.toml").read_text())
-WIDTH, HEIGHT = PROBLEM["block"]["width"], PROBLEM["block"]["height"]
-PRESSURE = PROBLEM["initial"]["pressure"]
+HEIGHT, PHI, PRESSURE = 2.0, 0.60, 0.003            # the width is 1
+CASES = {                                           # name -> e_r, alpha (pseudo-time is the compression)
+    "e_r = 0.001": (0.001, 0.0),
+    "e_r = 0.01": (0.01, 0.0),
+    "e_r = 0.01, alpha = 0.02": (0.01, 0.02),
+}
 RANK = MPI.COMM_WORLD.rank
-SHORT = {"meshes": (4,), "compression": 0.02, "increments": 5}
+SHORT = {"meshes": (4,), "compression": 0.04, "increments": 6}
 
 
 def bottom(x):
@@ -26,12 +36,78 @@ def top(x):
 
 
 def sides(x):
-    return np.isclose(x[0], 0) | np.isclose(x[0], WIDTH)
+    return np.isclose(x[0], 0) | np.isclose(x[0], 1)
 
 
-def block(rows, compression, elastic_strain=0.01, rate_term=0.0, degree=1, closure="kinematic"):
-    sand = Material(PROBLEM["material"]["mu"], closure, elastic_strain=elastic_strain)
-    mesh = fem.meshes.box(MPI.COMM_WORLD, (WIDTH, HEIGHT), (2 * rows, rows))
-    return fem.Problem(mesh, sand, sand.isotropic(PROBLEM["initial"]["phi"], pressure=PRESSURE), [
+def block(columns, elastic_strain, rate_term):
+    sand = Material(mu=0.5, elastic_strain=elastic_strain)
+    mesh = fem.meshes.box(MPI.COMM_WORLD, (1.0, HEIGHT), (columns, 2 * columns))
+    return fem.Problem(mesh, sand, sand.isotropic(PHI, pressure=PRESSURE), [
         fem.Displacement(bottom), fem.Displacement(top, lambda x, t: np.array([0.0, -t * HEIGHT])),
-        fem.Pressure(sides, PRESSURE)], degree=degree, rate_term=rate_term)
+        fem.Pressure(sides, PRESSURE)], rate_term=rate_term)
+
+
+# %%
+def share_of_bands(problem):
+    """The smallest share of the block that does half of the increment's shear: 0.5 where it is uniform."""
+    L = problem.last.gradients
+    shear = np.hypot(L[:, 0, 0] - L[:, 1, 1], L[:, 0, 1] + L[:, 1, 0])
+    parts = problem.comm.allgather((shear, problem.point_volumes()))
+    shear, volume = (np.concatenate(part) for part in zip(*parts))
+    order = np.argsort(-shear)
+    done, taken = np.cumsum((shear * volume)[order]), np.cumsum(volume[order])
+    return np.interp(done[-1] / 2, done, taken) / taken[-1]
+
+
+def compress(columns, elastic_strain, rate_term, compression, increments):
+    """Compression, force on the platen over the side pressure, share of the bands; and the field of shear strain."""
+    problem, rows = block(columns, elastic_strain, rate_term), []
+
+    def watch(problem):
+        if problem.last is not None:
+            rows.append((problem.t, -problem.reaction(top)[0][1] / PRESSURE, share_of_bands(problem)))
+
+    fem.run(problem, compression, compression / increments, observers=[watch])
+    return np.array(rows), fields.on_rank_0(problem, problem.shear_strain)
+
+
+def main(meshes=(4, 8, 12), compression=0.21, increments=42):
+    data, pictures = {}, {}
+    for name, case in CASES.items():
+        for columns in meshes:
+            rows, pictures[name, columns] = compress(columns, *case, compression, increments)
+            data[f"{name}: {columns}"] = rows
+            if RANK == 0:
+                print(f"{name:24} {columns:2} x {2 * columns:2} cells: force over side pressure {rows[-1, 1]:.4f}, "
+                      f"half of the shear in {rows[-1, 2]:.3f} of the block")
+    return data, pictures
+
+
+def picture(data, pictures):
+    """Force against compression, share of the bands against compression, and fields of shear strain."""
+    meshes = sorted({columns for _, columns in pictures})
+    figure = Figure(figsize=(11, 6), layout="constrained")
+    force, share = figure.add_subplot(2, 2 + len(meshes), (1, 2)), figure.add_subplot(2, 2 + len(meshes), (3 + len(meshes), 4 + len(meshes)))
+    for color, name in enumerate(CASES):
+        for columns, style in zip(meshes, (":", "--", "-")):
+            rows = data[f"{name}: {columns}"]
+            label = name.replace("e_r", "$e_r$").replace("alpha", "$\\alpha$") if columns == meshes[-1] else None
+            force.plot(rows[:, 0], rows[:, 1], style, color=f"C{color}", label=label)
+            share.plot(rows[:, 0], rows[:, 2], style, color=f"C{color}")
+    force.set(ylabel="force over side pressure")
+    force.legend(frameon=False, fontsize=8)
+    share.set(xlabel="compression over height", ylabel="share of the block with half of the shear")
+    for row, name in enumerate(list(CASES)[1:]):
+        for column, columns in enumerate(meshes):
+            axes = figure.add_subplot(2, 2 + len(meshes), row * (2 + len(meshes)) + 3 + column)
+            fields.draw(axes, pictures[name, columns], "shear strain" if column == len(meshes) - 1 else "")
+            axes.set_title(f"{columns} x {2 * columns}" if row == 0 else "", fontsize=9)
+    return figure
+
+
+if __name__ == "__main__":
+    data, pictures = main()
+    if RANK == 0:
+        out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
+        out.mkdir(parents=True, exist_ok=True)
+        picture(data, pictures).savefig(out / "biaxial-block.png", dpi=90)

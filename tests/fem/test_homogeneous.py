@@ -53,3 +53,18 @@ def test_a_pause_changes_nothing_and_takes_one_iteration():
     pause = problem.solve_increment(1.0)
     assert not pause.failure and len(pause.residuals) <= 3
     assert np.allclose(pause.states.stress, before.stress, rtol=0, atol=1e-10 * abs(before.stress).max())
+
+
+def test_a_body_without_stress_can_be_moved_until_it_jams():
+    sand = Material(0.5, elastic_strain=0.01)
+    start = sand.isotropic(0.59, coordination_number=sand["Zc"] - 0.1)
+    problem = fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1, 1), (3, 3)), sand, start, [
+        fem.Displacement(lambda x: np.isclose(x[1], 0)), fem.Displacement(lambda x: np.isclose(x[1], 1), lambda x, t: np.array([0, -t])),
+        fem.Periodic(lambda x: np.isclose(x[0], 1), lambda x: x - np.array([1.0, 0.0]))])
+    pressures, state = [], start
+    for height in np.linspace(1, 0.99, 6)[1:]:
+        fem.run(problem, 1 - height, 0.002)
+        state = sand.update(state, np.diag([0, np.log(height / (height + 0.002)), 0]))
+        pressures.append(-state.stress[:3].sum() / 3)
+        assert np.allclose(problem.states.stress, state.stress, rtol=0, atol=1e-9)
+    assert pressures[0] == 0 and pressures[-1] > 1e-3
