@@ -4,13 +4,10 @@
 # A saturated packing keeps its volume. Rough platens below and above drag its grains along, side walls tilt about their feet, and
 # the top goes to and fro. A packing near phi = 0.59 liquefies: its pressure falls to zero, and comes back when the shear goes on in
 # one direction; a denser one keeps a finite pressure. With rough side walls the box is the single point. Smooth ones, as in the
-# usual apparatus, cannot give the shear stress that balances the platens': the ends differ, and what dilates there goes at the
-# expense of the rest.
+# usual apparatus, cannot give the shear stress that balances the platens': one row of cells at the ends dilates, the rest is
+# compacted a little, and the mean pressure falls a little more slowly.
 
 # %%
-import sys
-from pathlib import Path
-
 import fields
 import numpy as np
 from matplotlib.figure import Figure
@@ -109,14 +106,13 @@ def picture(pictures):
                 sub = figure.add_subplot(2, 2, 2 * row + 2)
                 fields.draw(sub, field, "$\\phi$")
                 sub.set_title(f"smooth ends after {found['t'][-1]:.2f} cycles", fontsize=9)
-        axes.set(ylabel=f"mean $p\\,d/k$, $\\phi$ = {phi:.2f}", xlabel="cycles of shear strain $\\pm$0.1, then one way" if row else "")
+        axes.set(ylabel=f"mean $p\\,d/k$, $\\phi$ = {phi:.2f}")
         axes.legend(frameon=False, fontsize=8)
+    axes.set_xlabel("cycles of shear strain $\\pm$0.1, then one way")
     return figure
 
 
 if __name__ == "__main__":
     _, pictures = main()
     if RANK == 0:
-        out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
-        out.mkdir(parents=True, exist_ok=True)
-        picture(pictures).savefig(out / "direct-shear.png", dpi=90)
+        fields.save(picture(pictures), "direct-shear.png")

@@ -5,9 +5,7 @@
 # a constant load and rises as the packing dilates. Every integration point must have the state that the driver gets for one point.
 
 # %%
-import sys
-from pathlib import Path
-
+import fields
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
@@ -27,7 +25,8 @@ def box(cells, cell):
     size = np.array([1.5, 0.8, 1.0])[[0, 2] if d == 2 else [0, 1, 2]]
     sides = [fem.Periodic(lambda x, i=i: np.isclose(x[i], size[i]), lambda x, i=i: x - size * (np.arange(d) == i))
              for i in range(d - 1)]
-    return fem.meshes.box(MPI.COMM_WORLD, size, [cells] * d, cell), lambda x: np.isclose(x[d - 1], 0), lambda x: np.isclose(x[d - 1], 1), sides
+    mesh = fem.meshes.box(MPI.COMM_WORLD, size, [cells] * d, cell)
+    return mesh, lambda x: np.isclose(x[d - 1], 0), lambda x: np.isclose(x[d - 1], 1), sides
 
 
 def difference(problem, state):
@@ -131,6 +130,4 @@ if __name__ == "__main__":
         main(**SHORT, cell=cell, degree=2)
     data = main()
     if RANK == 0:
-        out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
-        out.mkdir(parents=True, exist_ok=True)
-        picture(data).savefig(out / "homogeneous-shear.png", dpi=90)
+        fields.save(picture(data), "homogeneous-shear.png")

@@ -4,14 +4,12 @@
 # A periodic layer on a rough bed carries a rough platen of constant load, which drags it sideways. The shear stress is the same at
 # every height, but weight raises the pressure with depth: the layer yields below the platen and comes to rest further down. The law
 # has no length: all shear ends in the row of elements at the platen, however thin. The rate term spreads it to a depth that no
-# longer depends on the mesh. With tau = m N + alpha p D/2 (D the shear rate, N the normal stress at depth s, N = N_0 (1 + s/l), m and
-# r = p/N those of steady shear) and D = 0 at a depth h, the platen's speed V gives h:
+# longer depends on the mesh. With tau = m N + alpha p D/2 (D the shear rate, N the normal stress at depth s, N = N_0 (1 + s/l),
+# m and r = p/N those of steady shear) and D = 0 at a depth h, the platen's speed V gives h:
 # V = (2 m/(alpha r)) ((l + h) log(1 + h/l) - h).
 
 # %%
-import sys
-from pathlib import Path
-
+import fields
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
@@ -89,7 +87,8 @@ def main(rows=(8, 16, 32), drag=1.0, increments=100):
                       f"force over load {force[-1, 1]:.4f}, largest rate of shear {rates.max():.2f}")
     if drag >= 1:
         depth, ratio, _ = theory()
-        print(f"steady theory with alpha: depth {depth:.3f}, force over load {ratio:.4f}") if RANK == 0 else None
+        if RANK == 0:
+            print(f"steady theory with alpha: depth {depth:.3f}, force over load {ratio:.4f}")
         for count in rows:
             assert sheared_depth(data[f"0.0 {count} rates"]) == 1 / count
             assert abs(sheared_depth(data[f"{ALPHA} {count} rates"]) - depth) < 1 / count + 0.03
@@ -122,6 +121,4 @@ def picture(data):
 if __name__ == "__main__":
     data = main()
     if RANK == 0:
-        out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
-        out.mkdir(parents=True, exist_ok=True)
-        picture(data).savefig(out / "platen-gravity.png", dpi=90)
+        fields.save(picture(data), "platen-gravity.png")

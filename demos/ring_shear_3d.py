@@ -9,8 +9,8 @@
 # %%
 import sys
 import time
-from pathlib import Path
 
+import fields
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
@@ -74,7 +74,7 @@ def main(cells=(10, 160, 9), turn=0.024, increments=12):
         print(f"{problem.system.size} unknowns, {len(rows) - 1} increments, {iterations[1:].mean():.1f} Newton iterations each, "
               f"{time.monotonic() - start:.0f} s on {problem.comm.size} ranks")
         print(f"torque at {t[-1]:.3f} rad {torque[-1]:.5f}, of a narrow ring {expected[1][-1]:.5f}; the lid settles by "
-              f"{settlement[-1]:.5f}; shear strain of the layers from {(strain / points).min():.3f} to {(strain / points).max():.3f}")
+              f"{settlement[-1]:.5f}; shear strain along the height {(strain / points).min():.3f} to {(strain / points).max():.3f}")
     assert abs(np.interp(t, *expected) - torque).max() < 0.05 * torque[-1]
     return {"t": t, "torque": torque, "settlement": settlement, "shear_strain": strain / points,
             "narrow": np.interp(t, *expected)}
@@ -99,6 +99,4 @@ def picture(data):
 if __name__ == "__main__":
     data = main()
     if RANK == 0:
-        out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
-        out.mkdir(parents=True, exist_ok=True)
-        picture(data).savefig(out / "ring-shear-3d.png", dpi=90)
+        fields.save(picture(data), "ring-shear-3d.png")

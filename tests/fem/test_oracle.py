@@ -119,7 +119,7 @@ def test_stiffness_of_linear_elasticity_is_that_of_its_form(cell, degree, rng):
 def test_geometric_stiffness_is_that_of_the_moving_mesh(cell, degree, rng):
     oracle = Oracle(cell, degree, rng)
     by_u, by_v = ufl.grad(oracle.u), ufl.grad(oracle.v)
-    form = ufl.inner(oracle.sigma(oracle.stress), ufl.tr(by_u) * by_v - by_v * by_u)          # d(volume) and d(grad v) at fixed stress
+    form = ufl.inner(oracle.sigma(oracle.stress), ufl.tr(by_u) * by_v - by_v * by_u)          # of volume and grad v
     found = oracle.stiffness(oracle.stress, np.zeros((*oracle.volumes.shape, 6, 9)))
     assert difference(found, oracle.assembled(form * oracle.dx)) < 1e-13
 

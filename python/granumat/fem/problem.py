@@ -19,8 +19,8 @@ from .system import System
 ELEMENT_FAILURES = ("", "the mesh is inverted", "the increment turns or strains a cell by too much")
 LARGEST_CUT = 1 / 16                       # of a correction, by the line search
 ROUND_OFF = 1e-12                          # of displacements, relative to what they add to
-REST = 1e-5                                # k/d: what stresses count against where the whole body has none
-LOOSE = 1e-6                               # k/d: stiffness of points without pressure in Newton's matrix; the forces have none of it
+REST = 1e-5                                # k/d: stress that residuals are relative to where there is none
+LOOSE = 1e-6                               # k/d: stiffness of points without pressure, in Newton's matrix only
 SUFFICIENT = 1e-4                          # part of the expected decrease that a correction must bring
 
 
