@@ -10,7 +10,7 @@ from mpi4py import MPI
 from granumat import Material, fem
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "demos"))
-import homogeneous_shear  # noqa: E402
+import homogeneous_shear
 
 KINDS = [(cell, degree) for cell in ("quadrilateral", "triangle", "hexahedron", "tetrahedron") for degree in (1, 2)]
 
