@@ -9,17 +9,20 @@ INNER, OUTER, PRESSURE = 1.0, 2.0, 0.01         # radii, and the pressure on the
 HEIGHT = 0.2                                    # of meshes in three dimensions
 
 
-def ring(material, rings, sectors, turn, *, wall="load", part=1.0, rotated=0.0, cell="quadrilateral", start=None, **more):
+def ring(material, rings, sectors, turn, *, wall="load", part=1.0, rotated=0.0, twist=0.0, cell="quadrilateral", start=None,
+         **more):
     """The problem, and its inner wall; pseudo-time is the wall's path in radians, and the wall turns back after `turn`.
 
     The outer wall, round and not turning, is under PRESSURE ("load") or held ("volume"). A part of the ring is tied to itself by
-    rotation. `rotated` turns the whole scene to begin with; more goes to Problem.
+    rotation. `rotated` turns the whole scene to begin with, `twist` the nodes on the inner wall back, in the mesh: the first ring,
+    where the shear localises, is then least distorted when the wall has turned by as much. More goes to Problem.
     """
     flat = cell in ("quadrilateral", "triangle")
     mesh = fem.meshes.annulus(MPI.COMM_WORLD, (INNER, OUTER), (rings, sectors) if flat else (rings, sectors, 1),
                               None if flat else HEIGHT, cell, angle=2 * np.pi * part)
     x = mesh.geometry.x
-    x[:, 0], x[:, 1] = np.cos(rotated) * x[:, 0] - np.sin(rotated) * x[:, 1], np.sin(rotated) * x[:, 0] + np.cos(rotated) * x[:, 1]
+    angle = rotated - twist * np.isclose(np.hypot(x[:, 0], x[:, 1]), INNER)
+    x[:, 0], x[:, 1] = np.cos(angle) * x[:, 0] - np.sin(angle) * x[:, 1], np.sin(angle) * x[:, 0] + np.cos(angle) * x[:, 1]
 
     def inner(x):
         return np.isclose(np.hypot(x[0], x[1]), INNER)

@@ -1,14 +1,15 @@
 """The annular shear cell as a problem in the radius alone: finite volumes over the rings, sharing no code with granumat.fem.
 
 Equilibrium d(r s_rr)/dr = s_tt and d(r^2 s_rt)/dr = 0 over the control volumes between the middles of neighbouring rings; a ring
-that moves from radii R to r while its sides turn by w has the deformation gradient F = (dr/dR, 0; r dw/dR, r/R) along the polar axes.
-The material is asked ring by ring, with log F in plane strain. Newton's method with differences, coloured: three nodes apart, two
-unknowns do not meet.
+that moves from radii R to r while its sides turn by w has the deformation gradient F = (dr/dR, 0; r dw/dR, r/R) along the polar
+axes. The material is asked ring by ring, with log F in plane strain. Newton's method with differences, coloured: three nodes apart,
+two unknowns do not meet.
 """
 
 import numpy as np
-from granumat import Material, MaterialError
 from scipy.linalg import solve_banded
+
+from granumat import Material, MaterialError
 
 SMALL = 1e-11               # of the radius: the unknowns' changes in the differences
 CONVERGED = 1e-9            # residual, in units of stress times radius
@@ -16,7 +17,10 @@ ITERATIONS = 30
 
 
 class Annulus:
-    """Rings between two walls; inner radius held, outer wall held (pressure None) or under a pressure; unknowns r and w of nodes."""
+    """Rings between two walls, the inner one of fixed radius, the outer one fixed (pressure None) or under a pressure.
+
+    The unknowns are the radii r and angles w of the nodes between the rings.
+    """
 
     def __init__(self, material: Material, state, rings, radii=(1.0, 2.0), pressure=0.01):
         self.material, self.pressure = material, pressure
