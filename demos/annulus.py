@@ -91,9 +91,9 @@ def report(runs, exact, found, turn):
         before = columns["path"] <= turn
         torque, pressure, phi, steps = (columns[name] for name in ("torque", "pressure", "phi", "iterations"))
         off = abs(torque - exact[wall]["torque"]).max() / max(torque)
-        print(f"constant {wall}: torque {torque[before][-1]:.5f} at the reversal, {torque[-1]:.5f} at the end, off the radial solution "
+        print(f"constant {wall}: torque {torque[before][-1]:.5f} at the reversal, {torque[-1]:.5f} at the end, off the radial one "
               f"by at most {off:.2%}")
-        print(f"  first ring: pressure {pressure[before][-1]:.5f}, then {pressure[~before].min():.5f} to {pressure[~before].max():.5f}; "
+        print(f"  first ring: pressure {pressure[before][-1]:.5f}, then {min(pressure[~before]):.5f} to {max(pressure[~before]):.5f}; "
               f"phi {phi[before][-1]:.4f}, then up to {max(phi):.4f}; sheared zone {width(profile):.3f} wide")
         print(f"  Newton iterations a step: {steps[before].mean():.2f} before, {steps[~before].mean():.2f} after the reversal, "
               f"{max(steps)} at most; residuals of step 5: " + " ".join(f"{value:.0e}" for value in residuals[4]))
