@@ -85,5 +85,15 @@ class Watch:
         return {name: np.array(column) for name, column in zip(self.COLUMNS, zip(*self.rows))}
 
 
+def sheared_zone(problem):
+    """Distance from the inner wall over which 90 % of its turn is lost, in the last increment."""
+    now = (problem.positions + problem.displacement)[:, :2]
+    x = now - problem.last.u[:, :2]
+    angle = np.arctan2(x[:, 0] * now[:, 1] - x[:, 1] * now[:, 0], (x * now).sum(axis=1))
+    r, angle = np.concatenate(problem.comm.allgather(np.column_stack([np.hypot(*now.T), angle]))).T
+    order = np.argsort(r)
+    return np.interp(-0.1 * angle.max(), -angle[order], r[order]) - INNER
+
+
 def spread(comm, values):
     return comm.allreduce(values.max(initial=-np.inf), MPI.MAX) - comm.allreduce(values.min(initial=np.inf), MPI.MIN)

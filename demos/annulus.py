@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from annular_cell import INNER, OUTER, PRESSURE, Watch, ring
+from annular_cell import INNER, OUTER, PRESSURE, Watch, ring, sheared_zone
 from matplotlib.figure import Figure
 from mpi4py import MPI
 from radial import Annulus
@@ -25,20 +25,12 @@ OBJECTIVE, LOCALISED = 0.04, 0.1                # radians turned: before and aft
 
 # %% Turn and turn back.
 def turn_and_back(wall, rings, sectors, turn, back, increment=0.004, **more):
-    """Columns of Watch, Newton's residuals, and the nodes' radii and angles turned in the last increment before `turn`."""
+    """Columns of Watch, Newton's residuals, and the width of the sheared zone just before `turn`."""
     problem, inner = ring(SAND, rings, sectors, turn, wall=wall, **more)
-    watch, profile = Watch(problem, inner, rings, more.get("part", 1.0)), []
-
-    def look(problem):
-        if problem.t == turn:
-            now = (problem.positions + problem.displacement)[:, :2]
-            x = now - problem.last.u[:, :2]
-            angle = np.arctan2(x[:, 0] * now[:, 1] - x[:, 1] * now[:, 0], (x * now).sum(axis=1))
-            nodes = np.concatenate(problem.comm.allgather(np.column_stack([np.hypot(*now.T), angle])))
-            profile.append(nodes[np.argsort(nodes[:, 0])])
-
-    fem.run(problem, turn + back, increment, events=[turn], observers=[watch, look])
-    return watch.columns(), watch.residuals, profile[0]
+    watch, zone = Watch(problem, inner, rings, more.get("part", 1.0)), []
+    fem.run(problem, turn + back, increment, events=[turn],
+            observers=[watch, lambda problem: zone.append(sheared_zone(problem)) if problem.t == turn else None])
+    return watch.columns(), watch.residuals, zone[0]
 
 
 def radial(wall, rings, turn, back, increment=0.004):
@@ -58,21 +50,15 @@ def refine(meshes, fine):
     exact = radial("load", fine, LOCALISED, 0.0)
     found = {}
     for rings in meshes:
-        columns, _, profile = turn_and_back("load", rings, 1, LOCALISED, 0.0, part=1 / (6 * rings))
+        columns, _, zone = turn_and_back("load", rings, 1, LOCALISED, 0.0, part=1 / (6 * rings))
         errors = [np.interp(path, columns["path"], columns["torque"]) / np.interp(path, exact["path"], exact["torque"]) - 1
                   for path in (OBJECTIVE, LOCALISED)]
-        found[rings] = (*errors, width(profile))
+        found[rings] = (*errors, zone)
     return found
 
 
-def width(profile):
-    """Distance from the wall over which 90 % of the wall's turn is lost in an increment."""
-    r, angle = profile.T
-    return np.interp(-0.1 * angle.max(), -angle, r) - INNER
-
-
 # %%
-def main(rings=12, sectors=72, turn=0.5, back=0.25, increment=0.004, twist=0.3, meshes=(8, 16, 32, 64), fine=256,
+def main(rings=10, sectors=96, turn=0.5, back=0.25, increment=0.005, twist=0.2, meshes=(8, 16, 32, 64), fine=256,
          picture=None):
     runs = {"load": turn_and_back("load", rings, sectors, turn, back, increment, twist=twist),
             "volume": turn_and_back("volume", rings, 1, turn, back, increment, part=1 / sectors, twist=twist)}
@@ -87,14 +73,14 @@ def main(rings=12, sectors=72, turn=0.5, back=0.25, increment=0.004, twist=0.3, 
 
 
 def report(runs, exact, found, turn):
-    for wall, (columns, residuals, profile) in runs.items():
+    for wall, (columns, residuals, zone) in runs.items():
         before = columns["path"] <= turn
         torque, pressure, phi, steps = (columns[name] for name in ("torque", "pressure", "phi", "iterations"))
         off = abs(torque - exact[wall]["torque"]).max() / max(torque)
         print(f"constant {wall}: torque {torque[before][-1]:.5f} at the reversal, {torque[-1]:.5f} at the end, off the radial one "
               f"by at most {off:.2%}")
-        print(f"  first ring: pressure {pressure[before][-1]:.5f}, then {min(pressure[~before]):.5f} to {max(pressure[~before]):.5f}; "
-              f"phi {phi[before][-1]:.4f}, then up to {max(phi):.4f}; sheared zone {width(profile):.3f} wide")
+        print(f"  first ring: p {pressure[before][-1]:.5f}, then {min(pressure[~before]):.5f} to {max(pressure[~before]):.5f}; "
+              f"phi {phi[before][-1]:.4f}, then up to {max(phi):.4f}; sheared zone {zone:.3f} wide")
         print(f"  Newton iterations a step: {steps[before].mean():.2f} before, {steps[~before].mean():.2f} after the reversal, "
               f"{max(steps)} at most; residuals of step 5: " + " ".join(f"{value:.0e}" for value in residuals[4]))
         if max(columns["scatter"]) > 0:

@@ -54,20 +54,21 @@ def attempt(closure, elastic_strain, increment, mu=0.5):
 
 # %%
 def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMENTS, out=None):
-    found = [attempt(*case) for case in product(closures, elastic_strains, increments)]
+    found = []
+    for case in product(closures, elastic_strains, increments):
+        found.append(attempt(*case))
+        print(in_words(found[-1][0]), flush=True) if MPI.COMM_WORLD.rank == 0 else None
     rows = [row for row, _ in found]
     moduli = {}                                                 # of the finest attempt that came furthest, by closure
     for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, pair[0]["reached"], -pair[0]["increment"])):
         moduli[row["closure"]] = path
-    if MPI.COMM_WORLD.rank == 0:
-        print("\n".join(in_words(row) for row in rows))
-        if out:
-            Path(out).mkdir(parents=True, exist_ok=True)
-            with open(Path(out) / "where_it_fails.csv", "w", newline="", encoding="utf-8") as file:
-                table = csv.DictWriter(file, COLUMNS)
-                table.writeheader()
-                table.writerows(rows)
-            draw(rows, moduli).savefig(Path(out) / "where_it_fails.png", dpi=75)
+    if out and MPI.COMM_WORLD.rank == 0:
+        Path(out).mkdir(parents=True, exist_ok=True)
+        with open(Path(out) / "where_it_fails.csv", "w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, COLUMNS)
+            table.writeheader()
+            table.writerows(rows)
+        draw(rows, moduli).savefig(Path(out) / "where_it_fails.png", dpi=75)
     for row in rows:                                            # the default closure never gives up at e_r = 0.01
         assert row["closure"] not in ("full", "kinematic") or row["elastic_strain"] != 0.01 or row["cut_to"] == 1.0
     return rows

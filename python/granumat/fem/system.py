@@ -106,7 +106,10 @@ class System:
         """
         right = self._right.set(forces)
         self._matrix.set(np.append(stiffness, self._units))
-        self.solver.solve(right, self._solution)
+        try:
+            self.solver.solve(right, self._solution)
+        except PETSc.Error:                                        # what MUMPS makes of some matrices that it cannot factorise
+            return None
         if self.solver.getConvergedReason() < 0 or not np.isfinite(self._solution.norm()):
             return None
         self._scatter.scatter(self._solution, self._local)
