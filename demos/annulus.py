@@ -126,13 +126,15 @@ def draw(runs, exact, found, turn):
         axes.loglog(rings, late, "s-", label=f"at {LOCALISED} rad, localised")
         axes.loglog(rings, early[0] * (rings[0] / rings)**2, "k:", label="orders 2 and 1")
         axes.loglog(rings, late[0] * rings[0] / rings, "k:")
-        axes.set(xlabel="rings of cells", ylabel="relative error of the torque")
+        axes.set(xlabel="rings of cells", ylabel="relative error of the torque", xticks=rings, xticklabels=rings)
         axes.legend(frameon=False)
         axes = panels[1, 2]
         axes.loglog(rings, wide, "o-", label="90 % of the turn is lost within")
         axes.loglog(rings, (OUTER - INNER) / rings, "k:", label="width of one ring")
-        axes.set(xlabel="rings of cells", ylabel="width of the sheared zone")
+        axes.set(xlabel="rings of cells", ylabel="width of the sheared zone", xticks=rings, xticklabels=rings)
         axes.legend(frameon=False)
+        for axes in panels[1, 1:]:
+            axes.minorticks_off()
     return figure
 
 

@@ -70,7 +70,7 @@ def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMEN
             table.writerows(rows)
         draw(rows, moduli).savefig(Path(out) / "where_it_fails.png", dpi=75)
     for row in rows:                                            # the default closure never gives up at e_r = 0.01
-        assert row["closure"] not in ("full", "kinematic") or row["elastic_strain"] != 0.01 or row["cut_to"] == 1.0
+        assert row["closure"] not in ("full", "kinematic") or row["elastic_strain"] != 0.01 or row["cut_to"] > 0.999
     return rows
 
 
