@@ -89,8 +89,8 @@ def draw(rows, paths):
                           label=rf"$\alpha$ = {rate_term:g}, $e_r$ = {elastic_strain:g}")
         axes.set(xlabel="rings of cells", ylabel=label, xscale="log", xticks=MESHES, xticklabels=MESHES)
         axes.minorticks_off()
-    panels[1, 0].set_yscale("log")
-    panels[1, 0].legend(frameon=False, fontsize=7.5)
+    panels[1, 0].set(yscale="log", ylim=(0.01, 0.6))
+    panels[1, 0].legend(frameon=False, fontsize=7.5, ncols=2, loc="lower left")
     return figure
 
 
