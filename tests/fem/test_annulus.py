@@ -91,6 +91,14 @@ def test_only_a_rate_term_gives_the_sheared_zone_a_width():
     assert fast[16] > 1.3 * slow[16]
 
 
+def test_scatter_around_the_ring_is_that_of_skewed_cells():
+    skewed, narrow, straight = (turned(8, 1, 0.12, 0.015, part=1 / sectors, twist=twist)["scatter_points"]
+                                for sectors, twist in ((36, 0), (72, 0), (36, 0.07)))
+    assert skewed[:-2].max() < 0.02 and skewed[-1] > 0.02
+    assert narrow[-1] == pytest.approx(skewed[-1] / 2, rel=0.1)
+    assert straight[-1] < skewed[-1] / 5
+
+
 def test_ranks_agree(mpirun, whole):
     script = f"""
 import sys
