@@ -58,7 +58,7 @@ def refine(meshes, fine):
 
 
 # %%
-def main(rings=10, sectors=96, turn=0.5, back=0.25, increment=0.005, twist=0.2, meshes=(8, 16, 32, 64), fine=256,
+def main(rings=10, sectors=96, turn=0.5, back=0.25, increment=0.005, twist=0.24, meshes=(8, 16, 32, 64), fine=256,
          picture=None):
     runs = {"load": turn_and_back("load", rings, sectors, turn, back, increment, twist=twist),
             "volume": turn_and_back("volume", rings, 1, turn, back, increment, part=1 / sectors, twist=twist)}
