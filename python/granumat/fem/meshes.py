@@ -27,8 +27,8 @@ def box(comm, size, cells, cell=None):
     return create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), kind)
 
 
-def annulus(comm, radii, cells, height=None, cell=None, grading=1.0):
-    """A ring about the z axis; a hollow cylinder from z = 0 where a height is given.
+def annulus(comm, radii, cells, height=None, cell=None, grading=1.0, angle=2 * np.pi):
+    """A ring about the z axis, or a part of it from the x axis on; a hollow cylinder from z = 0 where a height is given.
 
     Parameters
     ----------
@@ -41,22 +41,25 @@ def annulus(comm, radii, cells, height=None, cell=None, grading=1.0):
         As in box.
     grading : float, optional
         Ratio of the outermost ring's width to the innermost's.
+    angle : float, optional
+        Of a part, to be tied to itself by Periodic with polar axes; the sectors are then those of the part.
     """
     sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
-    cell = _check(sizes[-2:] if height is None else sizes, cells, cell, radii[0] > 0 and cells[1] >= 3 and grading > 0)
+    cell = _check(sizes[-2:] if height is None else sizes, cells, cell,
+                  radii[0] > 0 and cells[1] * 2 * np.pi >= 3 * angle > 0 and angle <= 2 * np.pi and grading > 0)
     rings, sectors = cells[:2]
     widths = np.geomspace(1, grading, rings)
     r = radii[0] + sizes[1] * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
     r[-1] = radii[1]
-    angle = 2 * np.pi * np.arange(sectors) / sectors
-    plane = np.stack([np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()], axis=1)
+    rays = sectors if angle == 2 * np.pi else sectors + 1
+    theta = angle * np.arange(rays) / sectors
+    plane = np.stack([np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()], axis=1)
     i, j = np.divmod(np.arange(rings * sectors), sectors)
-    corners = np.stack([i * sectors + j, (i + 1) * sectors + j, i * sectors + (j + 1) % sectors,
-                        (i + 1) * sectors + (j + 1) % sectors], axis=1)
+    corners = np.stack([i * rays + j, (i + 1) * rays + j, i * rays + (j + 1) % rays, (i + 1) * rays + (j + 1) % rays], axis=1)
     if height is not None:
         z = np.linspace(0, height, cells[2] + 1)
         plane = np.concatenate([np.hstack([plane, np.full((len(plane), 1), level)]) for level in z])
-        step = (rings + 1) * sectors
+        step = (rings + 1) * rays
         corners = np.concatenate([np.hstack([corners + k * step, corners + (k + 1) * step]) for k in range(cells[2])])
     return mesh_of(comm, cell, _split(corners, cell), plane)
 
@@ -74,7 +77,8 @@ def _split(corners, cell):
 def _check(size, cells, cell, more=True):
     faults = []
     if len(size) not in (2, 3) or not (np.asarray(size, float) > 0).all() or not more:
-        faults.append(f"sizes {size!r}: must be 2 or 3 numbers above 0; of a ring also radius and grading, and 3 sectors or more")
+        faults.append(f"sizes {size!r}: must be 2 or 3 numbers above 0; of a ring also radius, grading, and "
+                      "angle, at most 2 pi, and 3 sectors or more a turn")
     elif len(cells) != len(size) or not all(isinstance(count, (int, np.integer)) and count > 0 for count in cells):
         faults.append(f"cells = {cells!r}: must be {len(size)} integers above 0")
     elif cell is not None and cell not in CELLS[len(size)]:

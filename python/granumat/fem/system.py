@@ -9,6 +9,7 @@ from petsc4py import PETSc
 
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
 _INSERT = 1
+ERROR_IN_LIBRARY = 76              # PETSc's number for what MUMPS makes of some matrices that it cannot factorise
 _numbers = itertools.count()                           # of the systems: prefixes of their options
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # The norm is that of the residual itself, from the right: matrices after a reversal or where shear localises are indefinite, and
@@ -148,7 +149,12 @@ class System:
 
     def _solve(self, solver, matrix, right):
         solver.setOperators(matrix)
-        solver.solve(right, self._solution)
+        try:
+            solver.solve(right, self._solution)
+        except PETSc.Error as error:
+            if error.ierr != ERROR_IN_LIBRARY:
+                raise
+            return False
         return solver.getConvergedReason() > 0 and np.isfinite(self._solution.norm())
 
     def _warn_of_unused(self):

@@ -1,0 +1,99 @@
+"""The annular shear cell that annulus.py and where_it_fails.py turn: its walls and conditions, and what is measured on it."""
+
+import numpy as np
+from mpi4py import MPI
+
+from granumat import fem
+
+INNER, OUTER, PRESSURE = 1.0, 2.0, 0.01         # radii, and the pressure on the outer wall
+HEIGHT = 0.2                                    # of meshes in three dimensions
+
+
+def ring(material, rings, sectors, turn, *, wall="load", part=1.0, rotated=0.0, twist=0.0, cell="quadrilateral", start=None,
+         **more):
+    """The problem, and its inner wall; pseudo-time is the wall's path in radians, and the wall turns back after `turn`.
+
+    The outer wall, round and not turning, is under PRESSURE ("load") or held ("volume"). A part of the ring is tied to itself by
+    rotation. `rotated` turns the whole scene to begin with, `twist` the nodes on the inner wall back, in the mesh: the first ring,
+    where the shear localises, is then least distorted when the wall has turned by as much. More goes to Problem.
+    """
+    flat = cell in ("quadrilateral", "triangle")
+    mesh = fem.meshes.annulus(MPI.COMM_WORLD, (INNER, OUTER), (rings, sectors) if flat else (rings, sectors, 1),
+                              None if flat else HEIGHT, cell, angle=2 * np.pi * part)
+    x = mesh.geometry.x
+    angle = rotated - twist * np.isclose(np.hypot(x[:, 0], x[:, 1]), INNER)
+    x[:, 0], x[:, 1] = np.cos(angle) * x[:, 0] - np.sin(angle) * x[:, 1], np.sin(angle) * x[:, 0] + np.cos(angle) * x[:, 1]
+
+    def inner(x):
+        return np.isclose(np.hypot(x[0], x[1]), INNER)
+
+    def outer(x):
+        return np.isclose(np.hypot(x[0], x[1]), OUTER)
+
+    axes = fem.polar()
+    conditions = [fem.Displacement(inner, fem.rotation(lambda t: t if t <= turn else 2 * turn - t))]
+    if wall == "load":
+        conditions += [fem.Displacement(outer, components=[1], axes=axes), fem.Tied(outer, 0, axes), fem.Pressure(outer, PRESSURE)]
+    else:
+        conditions += [fem.Displacement(outer)]
+    if not flat:
+        conditions += [fem.Displacement(lambda x: np.isclose(x[2], 0) | np.isclose(x[2], HEIGHT), components=[2])]
+    if part < 1:
+        conditions += [fem.Periodic(lambda x: np.isclose(np.arctan2(x[1], x[0]), 2 * np.pi * part),
+                                    lambda x: np.column_stack([np.hypot(x[:, 0], x[:, 1]), 0 * x[:, 1], x[:, 2:]]), axes)]
+    start = material.isotropic(0.60, pressure=PRESSURE) if start is None else start
+    return fem.Problem(mesh, material, start, conditions, **more), inner
+
+
+class Watch:
+    """An observer: one row of COLUMNS for every increment, the same on all ranks.
+
+    torque per thickness, of the wall on the whole ring; pressure and phi are means over the first ring of cells; scatter is that of
+    the cells' mean pressures around this ring, (largest - smallest)/mean, and scatter_points that of the integration points at one
+    distance from the wall.
+    """
+
+    COLUMNS = ("path", "torque", "pressure", "phi", "scatter", "scatter_points", "iterations")
+
+    def __init__(self, problem, inner, rings, part=1.0):
+        self.inner, self.part, self.rows, self.residuals = inner, part, [], []
+        self.width = (OUTER - INNER) / rings
+        r = np.hypot(*problem.point_positions()[:, :2].T).reshape(problem.cells, -1)
+        self.first = r.mean(axis=1) < INNER + self.width
+        self.distance = np.round(r[self.first] / self.width, 2)
+
+    def __call__(self, problem):
+        if problem.last is None:
+            return
+        comm = problem.comm
+        _, torque = problem.reaction(self.inner)
+        pressure = self.of_first(problem, -problem.states.stress[:, :3].sum(axis=1) / 3)
+        volume = self.of_first(problem, problem.point_volumes())
+        phi = self.of_first(problem, problem.states.volume_fraction)
+        whole, mean, solid = comm.allreduce(np.array([volume.sum(), (pressure * volume).sum(), (phi * volume).sum()]))
+        mean, distances = mean / whole, sorted(set().union(*comm.allgather(set(self.distance.ravel()))))
+        self.rows.append((problem.t, np.ravel(torque)[-1] / self.part / (HEIGHT if problem.d == 3 else 1), mean, solid / whole,
+                          spread(comm, (pressure * volume).sum(axis=1) / volume.sum(axis=1)) / mean,
+                          max(spread(comm, pressure[self.distance == at]) for at in distances) / mean,
+                          len(problem.last.residuals) - 1))
+        self.residuals.append(problem.last.residuals)
+
+    def of_first(self, problem, values):
+        return values.reshape(problem.cells, -1)[self.first]
+
+    def columns(self):
+        return {name: np.array(column) for name, column in zip(self.COLUMNS, zip(*self.rows))}
+
+
+def sheared_zone(problem):
+    """Distance from the inner wall over which 90 % of its turn is lost, in the last increment."""
+    now = (problem.positions + problem.displacement)[:, :2]
+    x = now - problem.last.u[:, :2]
+    angle = np.arctan2(x[:, 0] * now[:, 1] - x[:, 1] * now[:, 0], (x * now).sum(axis=1))
+    r, angle = np.concatenate(problem.comm.allgather(np.column_stack([np.hypot(*now.T), angle]))).T
+    order = np.argsort(r)
+    return np.interp(-0.1 * angle.max(), -angle[order], r[order]) - INNER
+
+
+def spread(comm, values):
+    return comm.allreduce(values.max(initial=-np.inf), MPI.MAX) - comm.allreduce(values.min(initial=np.inf), MPI.MIN)

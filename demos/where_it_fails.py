@@ -1,0 +1,111 @@
+# %% [markdown]
+# # Where it fails: the annulus over closures, elastic strains and increments
+#
+# One sector of the annular shear cell, tied to itself, is turned and turned back with every closure, elastic strain e_r and
+# increment; what is recorded is how far the increment had to be cut, and where the load control gave up and why. The transverse
+# modulus eta_t (`granumat wellposed`) of the points says what to expect. `WHERE_IT_FAILS.md` reads the map.
+
+# %%
+import csv
+import sys
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+from annular_cell import PRESSURE, Watch, ring
+from matplotlib.figure import Figure
+from mpi4py import MPI
+
+from granumat import Material, fem
+
+CLOSURES = ("basic", "n2", "full", "kinematic", "critical")
+ELASTIC_STRAINS = (1e-2, 1e-3, 1e-4, 0.0)
+INCREMENTS = (0.008, 0.002, 0.0005)             # radians; 16 times as much shear in the first of 16 rings, once it has localised
+RINGS, PART, TURN, BACK = 16, 1 / 48, 0.12, 0.08
+SMALLEST = 1 / 256                              # of an increment, where cutting ends
+SHORT = {"closures": ("full", "basic"), "elastic_strains": (1e-2, 0.0), "increments": (0.008,)}
+COLUMNS = ("closure", "elastic_strain", "increment", "reached", "cut_to", "iterations", "torque", "eta_t", "why")
+
+
+# %%
+def attempt(closure, elastic_strain, increment, mu=0.5):
+    """A row of COLUMNS, and (path, least eta_t of all points) after every increment."""
+    sand = Material(mu, closure=closure, elastic_strain=elastic_strain)
+    start = sand.isotropic(0.60) if closure == "critical" else sand.isotropic(0.60, pressure=PRESSURE)
+    problem, inner = ring(sand, RINGS, 1, TURN, part=PART, start=start)
+    watch, moduli = Watch(problem, inner, RINGS, PART), []
+
+    def least(problem):
+        mine = sand.transverse_modulus(problem.states).min(initial=np.inf)
+        moduli.append((problem.t, problem.comm.allreduce(mine, MPI.MIN)))
+
+    why = ""
+    try:
+        fem.run(problem, TURN + BACK, increment, smallest=SMALLEST * increment, events=[TURN], observers=[watch, least])
+    except fem.SolveError as error:
+        why = str(error)
+    columns = watch.columns()
+    moduli = np.array(moduli)
+    steps = np.diff(moduli[:, 0])[:-1]                          # the last one may be what was left
+    return dict(zip(COLUMNS, (
+        closure, elastic_strain, increment, problem.t, min([1.0, *steps / increment]) if not why else 0.0,
+        np.mean(columns.get("iterations", 0.0)), np.append(0.0, columns.get("torque", []))[-1], moduli[:, 1].min(), why))), moduli
+
+
+# %%
+def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMENTS, out=None):
+    found = []
+    for case in product(closures, elastic_strains, increments):
+        found.append(attempt(*case))
+        print(in_words(found[-1][0]), flush=True) if MPI.COMM_WORLD.rank == 0 else None
+    rows = [row for row, _ in found]
+    moduli = {}                                                 # of the finest attempt that came furthest, by closure
+    for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, pair[0]["reached"], -pair[0]["increment"])):
+        moduli[row["closure"]] = path
+    if out and MPI.COMM_WORLD.rank == 0:
+        Path(out).mkdir(parents=True, exist_ok=True)
+        with open(Path(out) / "where_it_fails.csv", "w", newline="", encoding="utf-8") as file:
+            table = csv.DictWriter(file, COLUMNS)
+            table.writeheader()
+            table.writerows(rows)
+        draw(rows, moduli).savefig(Path(out) / "where_it_fails.png", dpi=75)
+    for row in rows:                                            # the default closure never gives up at e_r = 0.01
+        assert row["closure"] not in ("full", "kinematic") or row["elastic_strain"] != 0.01 or row["cut_to"] > 0.999
+    return rows
+
+
+def in_words(row):
+    outcome = f"stops at {row['reached']:.4f}" if row["why"] else f"goes through, cut to {row['cut_to']:.3g}"
+    return (f"{row['closure']:9} e_r {row['elastic_strain']:<6g} increment {row['increment']:<6g} {outcome:28} "
+            f"{row['iterations']:.2f} iterations, torque {row['torque']:+.4f}, least eta_t {row['eta_t']:+.3f}")
+
+
+def draw(rows, moduli):
+    closures, strains, increments = (list(dict.fromkeys(row[name] for row in rows)) for name in COLUMNS[:3])
+    figure = Figure(figsize=(12, 5.6), layout="constrained")
+    upper, lower = figure.subfigures(2, 1, height_ratios=(3, 2))
+    for axes, closure in zip(np.atleast_1d(upper.subplots(1, len(closures))), closures):
+        for row in (row for row in rows if row["closure"] == closure):
+            x, y = increments.index(row["increment"]), strains.index(row["elastic_strain"])
+            if not row["why"]:
+                colour, text = ("#9fd3b6" if row["cut_to"] > 0.99 else "#f0e08a"), f"{row['iterations']:.1f}"
+                text += "" if row["cut_to"] > 0.99 else f"\ncut {row['cut_to']:.2g}"
+            else:
+                colour, text = ("#e8a58e" if row["reached"] < TURN - 1e-9 else "#e6b8d3"), f"stops\n{row['reached'] - TURN:+.3f}"
+            axes.fill([x, x + 1, x + 1, x], [y, y, y + 1, y + 1], color=colour, edgecolor="white")
+            axes.text(x + 0.5, y + 0.5, text, ha="center", va="center", fontsize=7.5)
+        axes.set(title=closure, xlabel="increment [rad]", xticks=np.arange(len(increments)) + 0.5, xticklabels=increments,
+                 yticks=np.arange(len(strains)) + 0.5, yticklabels=strains, xlim=(0, len(increments)), ylim=(len(strains), 0))
+        axes.tick_params(length=0)
+    upper.axes[0].set_ylabel("elastic strain $e_r$")
+    axes = lower.subplots()
+    for closure, path in moduli.items():
+        axes.plot(path[:, 0] - TURN, path[:, 1], ".-", markersize=2, label=closure)
+    axes.axhline(0, color="0.6", linewidth=0.8)
+    axes.set(xlabel="path of the inner wall from its reversal on [rad]", ylabel=r"least $\eta_t$ of all points", xlim=(-TURN, BACK))
+    axes.legend(frameon=False, ncols=len(moduli))
+    return figure
+
+
+if __name__ == "__main__":
+    main(out=sys.argv[1] if len(sys.argv) > 1 else "results/where_it_fails")
