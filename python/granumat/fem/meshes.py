@@ -21,7 +21,7 @@ def box(comm, size, cells, cell=None):
     cell : str, optional
         "quadrilateral" or "triangle"; "hexahedron" or "tetrahedron".
     """
-    cell = _check(size, cells, cell)
+    cell = check_box(size, cells, cell)
     kind = getattr(dolfinx.mesh.CellType, cell)
     create = dolfinx.mesh.create_rectangle if len(size) == 2 else dolfinx.mesh.create_box
     return create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), kind)
@@ -42,11 +42,10 @@ def annulus(comm, radii, cells, height=None, cell=None, grading=1.0):
     grading : float, optional
         Ratio of the outermost ring's width to the innermost's.
     """
-    sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
-    cell = _check(sizes[-2:] if height is None else sizes, cells, cell, radii[0] > 0 and cells[1] >= 3 and grading > 0)
+    cell = check_annulus(radii, cells, height, cell, grading)
     rings, sectors = cells[:2]
     widths = np.geomspace(1, grading, rings)
-    r = radii[0] + sizes[1] * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
+    r = radii[0] + (radii[1] - radii[0]) * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
     r[-1] = radii[1]
     angle = 2 * np.pi * np.arange(sectors) / sectors
     plane = np.stack([np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()], axis=1)
@@ -71,7 +70,14 @@ def _split(corners, cell):
     return corners
 
 
-def _check(size, cells, cell, more=True):
+def check_annulus(radii, cells, height=None, cell=None, grading=1.0):
+    """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
+    sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
+    return check_box(sizes[-2:] if height is None else sizes, cells, cell, radii[0] > 0 and cells[1] >= 3 and grading > 0)
+
+
+def check_box(size, cells, cell=None, more=True):
+    """The name of the cells' shape; ValueError where box cannot be made of its arguments."""
     faults = []
     if len(size) not in (2, 3) or not (np.asarray(size, float) > 0).all() or not more:
         faults.append(f"sizes {size!r}: must be 2 or 3 numbers above 0; of a ring also radius and grading, and 3 sectors or more")

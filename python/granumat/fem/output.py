@@ -330,7 +330,9 @@ class Pictures(Output):
 
         def draw():
             polygons, cells = vertices.facets()
-            figure = field_figure(positions[polygons], values[cells], FIELDS[self.field], f"t = {problem.t:.6g}")
+            hertzian = problem.material.contact == "hertzian"
+            label = FIELDS[self.field].replace("\\,d/k", "/k_{Hz}" if hertzian else "\\,d/k")
+            figure = field_figure(positions[polygons], values[cells], label, f"t = {problem.t:.6g}")
             figure.savefig(f"{self.path}-{problem.increments:06d}.png", dpi=130)
         on_rank_0(problem.comm, draw)
 
@@ -351,6 +353,7 @@ def field_figure(polygons, values, label, title=""):
     if solid:
         axes.add_collection3d(collection)
         axes.set_box_aspect(high - low)
+        axes.locator_params(axis="z", nbins=3)
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), zlabel="z")
     else:
         axes.add_collection(collection)
