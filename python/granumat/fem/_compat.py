@@ -94,14 +94,12 @@ def gmsh_mesh(comm, path):
     """The mesh of a gmsh file, its facet tags, and the tags of its facets' physical names."""
     try:
         import gmsh
-
-        from dolfinx import io
-        if hasattr(io, "gmshio"):
-            from dolfinx.io import gmshio as reader
-        else:
-            from dolfinx.io import gmsh as reader
     except ImportError:
         raise ImportError("meshes from gmsh files need the Python module of gmsh (Debian: python3-gmsh)") from None
+    try:
+        from dolfinx.io import gmshio as reader
+    except ImportError:
+        from dolfinx.io import gmsh as reader
     what, error = None, None
     if comm.rank == 0:
         gmsh.initialize()

@@ -65,7 +65,7 @@ def stress_ratio(stress):
 
 
 class Output:
-    """An observer with files that grow: every so many increments and at given times.
+    """An observer with files that grow: every so many increments and at given times; after each increment if nothing is said.
 
     Attributes
     ----------
@@ -77,7 +77,8 @@ class Output:
     growing = ()                    # the files whose ends are cut off when an earlier checkpoint is resumed
 
     def __init__(self, path, every=None, times=()):
-        self.path, self.every, self.times, self.written = Path(path), every, frozenset(times), None
+        self.path, self.times, self.written = Path(path), frozenset(times), None
+        self.every = every if every or times else 1
 
     def __call__(self, problem):
         if (self.every is not None and problem.increments % self.every == 0) or problem.t in self.times:
@@ -129,7 +130,7 @@ class Fields(Output):
     HEAD = '<?xml version="1.0"?>\n<Xdmf Version="3.0">\n<Domain>\n<Grid GridType="Collection" CollectionType="Temporal">\n'
     FOOT = "</Grid>\n</Domain>\n</Xdmf>\n"
 
-    def __init__(self, path, every=1, times=()):
+    def __init__(self, path, every=None, times=()):
         super().__init__(path, every, times)
         self.numbers = self.path.with_suffix(".bin")
         self.growing = (self.path, self.numbers)
@@ -217,7 +218,7 @@ def _in_space(values):
 class _Table(Output):
     """A table of numbers, CSV."""
 
-    def __init__(self, path, every):
+    def __init__(self, path, every=None):
         super().__init__(path, every)
         self.growing = (self.path,)
 
@@ -244,7 +245,7 @@ class Reactions(_Table):
         Increments from one row to the next.
     """
 
-    def __init__(self, path, parts, center=None, every=1):
+    def __init__(self, path, parts, center=None, every=None):
         super().__init__(path, every)
         self.parts, self.center = dict(parts), center
 
@@ -275,7 +276,7 @@ class Probe(_Table):
         Increments from one row to the next.
     """
 
-    def __init__(self, path, position, every=1):
+    def __init__(self, path, position, every=None):
         super().__init__(path, every)
         self.position_at_start, self._place = np.asarray(position, float), None
 
@@ -315,7 +316,7 @@ class Pictures(Output):
         As in Fields.
     """
 
-    def __init__(self, directory, field="p", every=1, times=()):
+    def __init__(self, directory, field="p", every=None, times=()):
         super().__init__(Path(directory) / field, every, times)
         if field not in FIELDS or field == "A_direction":
             raise ValueError(f"field = {field!r}: must be one of {', '.join(name for name in FIELDS if name != 'A_direction')}")

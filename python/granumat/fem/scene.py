@@ -75,16 +75,16 @@ def read_scene(path):
     faults = [f"unknown table or key {name!r}: allowed are {', '.join(TABLES)}" for name in content if name not in TABLES]
     material = attempt(faults, "", read_material, content)
     mesh = attempt(faults, "[mesh]: ", _mesh, content, path.parent) or {}
-    d = _dimension(mesh)
+    kind, d = _kind(content.get("mesh"))
     settings = attempt(faults, "[problem]: ", _settings, content, d) or {}
-    state = attempt(faults, "", _initial, content, material, mesh.get("kind"), d, settings)
+    state = attempt(faults, "", _initial, content, material, kind, d, settings)
     entries = content.get("condition", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         faults.append("condition: must be tables [[condition]]")
         entries = []
     conditions = []
     for number, entry in enumerate(entries, 1):
-        conditions += attempt(faults, f"condition {number}: ", _condition, entry, mesh.get("kind"), d) or []
+        conditions += attempt(faults, f"condition {number}: ", _condition, entry, kind, d) or []
     control = attempt(faults, "[run]: ", _run, content) or (0.0, Function((0.0,), (1.0,)), None)
     output = attempt(faults, "[output]: ", _output, content, d) or {}
     refuse(f"{path} cannot be run", faults)
@@ -158,11 +158,13 @@ def _told(check, *arguments):
     return []
 
 
-def _dimension(mesh):
-    """2 or 3, or None where only the mesh itself knows."""
-    if mesh.get("kind") == "box":
-        return len(mesh["size"])
-    return {"annulus": 3 if "height" in mesh else 2}.get(mesh.get("kind"))
+def _kind(mesh):
+    """Kind of the mesh, and 2 or 3, None where only the mesh itself knows; also of a table with faults."""
+    if not isinstance(mesh, dict) or mesh.get("kind") not in MESHES:
+        return None, None
+    if mesh["kind"] == "box":
+        return "box", 3 if isinstance(mesh.get("size"), list) and len(mesh["size"]) == 3 else 2
+    return mesh["kind"], {"annulus": 3 if "height" in mesh else 2}.get(mesh["kind"])
 
 
 def _settings(content, d):
