@@ -298,6 +298,13 @@ def test_the_reference_blas_is_warned_of_with_the_better_package(monkeypatch):
         assert [("libopenblas0" in str(warning.message)) for warning in caught] == [True] * told
 
 
+def test_the_scene_file_of_readme_runs(tmp_path):
+    text = re.search(r"```toml\n(\[material\][^`]*\[mesh\].*?)```", (ROOT / "README.md").read_text(), re.S)[1]
+    with_keys = text.replace("until = 120", "until = 1").replace("cells = [16, 8]", "cells = [4, 2]")
+    problem, files = scene.solve(written(tmp_path, with_keys), tmp_path / "out")
+    assert problem.t == 1 and {path.name for path in files} == {"fields.xdmf", "reactions.csv", "probe-middle.csv", "checkpoint.npz"}
+
+
 def test_the_first_problem_of_readme_prints_what_readme_says(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     readme = (ROOT / "README.md").read_text()
