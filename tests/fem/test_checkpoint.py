@@ -9,9 +9,9 @@ import time
 import numpy as np
 import pytest
 from mpi4py import MPI
+from test_output import records
 
 from granumat import Material, fem
-from test_output import records
 
 SCRIPT = """
 import os, sys, time
@@ -57,7 +57,8 @@ def test_killed_on_two_ranks_it_ends_alike_on_one_and_three(mpirun, tmp_path):
     mpirun(SCRIPT, 1, "whole", "new", 0)
     expected = np.load(tmp_path / "whole/final.npz")
     moment = np.random.default_rng().integers(6, 29)
-    command = ["mpirun", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1", "-n", "2", sys.executable, "script.py", "cut", "new", "0.05"]
+    command = ["mpirun", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1", "-n", "2", sys.executable, "script.py", "cut",
+               "new", "0.05"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | {
             "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}) as running:
         while rows(tmp_path / "cut/reactions.csv") < moment:
@@ -117,8 +118,9 @@ def test_a_checkpoint_of_another_problem_is_refused_with_every_difference(checkp
     other = problem(closure="basic", degree=2, mu=0.4, conditions=[fem.Pressure(lambda x: np.isclose(x[0], 0), 0.01)])
     with pytest.raises(ValueError) as caught:
         fem.resume(checkpoint, other)
-    for words in ("belongs to another problem", "degree: 1 in the checkpoint, 2 here", "material's mu: 0.5 in the checkpoint, 0.4 here",
-                  "material's closure: 'full' in the checkpoint, 'basic' here", "conditions: 'Displacement, Displacement' in"):
+    for words in ("belongs to another problem", "degree: 1 in the checkpoint, 2 here",
+                  "material's mu: 0.5 in the checkpoint, 0.4 here", "material's closure: 'full' in the checkpoint, 'basic' here",
+                  "conditions: 'Displacement, Displacement' in"):
         assert words in str(caught.value), words
     with pytest.raises(ValueError, match="number of cells: 6 in the checkpoint, 8 here"):
         fem.resume(checkpoint, problem(cells=(4, 2)))
@@ -151,7 +153,8 @@ def test_a_write_that_fails_leaves_the_checkpoint_before(checkpoint, monkeypatch
 
 def test_checkpoints_come_by_time_too(tmp_path):
     body = problem()
-    fem.run(body, 1, 1.0, observers=[fem.Checkpoint(tmp_path / "never.npz", seconds=1e9), fem.Checkpoint(tmp_path / "now.npz", seconds=0)])
+    fem.run(body, 1, 1.0, observers=[fem.Checkpoint(tmp_path / "never.npz", seconds=1e9),
+                                      fem.Checkpoint(tmp_path / "now.npz", seconds=0)])
     assert (tmp_path / "now.npz").exists() and not (tmp_path / "never.npz").exists()
 
 

@@ -157,13 +157,19 @@ def test_a_block_with_pressure_and_gravity_rests(tmp_path):
 
 
 def test_steady_shear_is_steady_along_x(tmp_path):
-    text = BOX.replace('state = "isotropic"', 'state = "steady"').replace("pressure = 0.007\n[[", "[[", 1).replace(
-        'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]', "").replace("{ x = [[0, 0], [3.5, 0.02], [10, -0.02]] }",
-                                                                          "{ x = [[0, 0], [10, 0.05]], y = 0 }").replace("[4, 2]", "[4, 1]")            # several rows: any of them may take the shear
+    text = BOX
+    for old, new in {
+            'state = "isotropic"\nphi = 0.60\npressure = 0.007': 'state = "steady"\nphi = 0.60',
+            'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]': "",
+            "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = [[0, 0], [10, 0.05]], y = 0",
+            "[4, 2]": "[4, 1]"}.items():                                          # several rows: any of them may take the shear
+        assert old in text
+        text = text.replace(old, new)
     problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
     start = Material(0.5, elastic_strain=0.01).steady(0.60)
-    np.testing.assert_allclose(problem.states.fabric, np.tile(start.fabric[[0, 2, 1, 4, 3, 5]], (len(problem.states), 1)), atol=1e-10)
-    np.testing.assert_allclose(problem.states.stress[:, 3], start.stress[4], rtol=1e-6)
+    for name in ("fabric", "stress"):
+        turned = start[name][[0, 2, 1, 4, 3, 5]]
+        np.testing.assert_allclose(problem.states[name], np.tile(turned, (len(problem.states), 1)), atol=1e-9)
 
 
 def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
@@ -206,12 +212,14 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
         checkpoint = 3
         fields = 3
     """)
-    for words in ("'tolerence'", "mu = 1.5", "cells = [4, -2]: must be 2 integers above 0", "[initial]", "phi = 60", "pressure is missing",
-                  "degree = 3", "gravity = [0, 'down']", "'lid' is no side: must be one of left, right, bottom, top",
-                  "must be a table with some of x, y", "condition 2", "on is missing", "increasing times", "rotation = 0.1: must be 0 at t = 0",
-                  "periodic = true stands alone", "condition 4: is wrong:\n    says nothing", "platen = 'normal'", "center belongs to rotation",
-                  "until = -1", "increment is missing", "every = 0", "times = ['end']", "pictures = ['q']", "probes: their names",
-                  "checkpoint = 3", "unknown key 'fields'"):
+    for words in (
+            "'tolerence'", "mu = 1.5", "cells = [4, -2]: must be 2 integers above 0", "[initial]", "phi = 60",
+            "pressure is missing", "degree = 3", "gravity = [0, 'down']",
+            "'lid' is no side: must be one of left, right, bottom, top", "must be a table with some of x, y",
+            "condition 2", "on is missing", "increasing times", "rotation = 0.1: must be 0 at t = 0",
+            "periodic = true stands alone", "condition 4: is wrong:\n    says nothing", "platen = 'normal'",
+            "center belongs to rotation", "until = -1", "increment is missing", "every = 0", "times = ['end']",
+            "pictures = ['q']", "probes: their names", "checkpoint = 3", "unknown key 'fields'"):
         assert words in said, words + "\n" + said
     assert "size" not in faults(tmp_path, '[mesh]\nkind = "sphere"\n') and "must be one of box, annulus, gmsh" in faults(
         tmp_path, '[mesh]\nkind = "sphere"\n')
@@ -302,7 +310,7 @@ def test_the_scene_file_of_readme_runs(tmp_path):
     text = re.search(r"```toml\n(\[material\][^`]*\[mesh\].*?)```", (ROOT / "README.md").read_text(), re.S)[1]
     with_keys = text.replace("until = 120", "until = 1").replace("cells = [16, 8]", "cells = [4, 2]")
     problem, files = scene.solve(written(tmp_path, with_keys), tmp_path / "out")
-    assert problem.t == 1 and {path.name for path in files} == {"fields.xdmf", "reactions.csv", "probe-middle.csv", "checkpoint.npz"}
+    assert problem.t == 1 and len(files) == 4 and all(path.exists() for path in files)
 
 
 def test_the_first_problem_of_readme_prints_what_readme_says(tmp_path, monkeypatch):

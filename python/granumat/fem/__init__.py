@@ -8,5 +8,6 @@ from .errors import SolveError
 from .output import Fields, Pictures, Probe, Reactions, cell_fields, field_figure
 from .problem import Problem, Tolerances
 
-__all__ = ["Checkpoint", "Displacement", "Fields", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Reactions", "SolveError",
-           "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes", "polar", "resume", "rotation", "run"]
+__all__ = ["Checkpoint", "Displacement", "Fields", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Reactions",
+           "SolveError", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes", "polar", "resume", "rotation",
+           "run"]

@@ -28,13 +28,14 @@ SHAPES = {
     "hexahedron": ("Hexahedron", [0, 1, 3, 2, 4, 5, 7, 6],
                    [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]),
 }
-NEAR = 1e-9                         # of the body's size: distances that differ by less are the same
+NEAR = 1e-9                         # of the body's size, or of 1: what differs by less is the same
 
 
 def cell_fields(problem):
     """The means over this rank's own cells, weighted by volume: a dict of FIELDS to arrays (cells,); A_direction (cells, 3).
 
-    p is compression positive, as is stress_ratio's; A and A_direction are abs(A) and the unit eigenvector of the largest eigenvalue of the mean fabric, 0 where that is 0; dilatancy is that of the last
+    p is compression positive; A and A_direction are abs(A) and the unit eigenvector of the largest eigenvalue of the mean fabric,
+    its first component above 0, 0 where there is no fabric; dilatancy is that of the last
     increment, 0 where it had no shear.
     """
     states, volumes = problem.states, problem.point_volumes().reshape(problem.cells, -1)
@@ -51,11 +52,12 @@ def cell_fields(problem):
     with np.errstate(divide="ignore", invalid="ignore"):
         dilatancy = np.where(distortion > 0, tensors.trace(change) / distortion, 0.0)
     direction = np.linalg.eigh(tensors.full(fabric))[1][..., -1]
-    largest = np.take_along_axis(direction, abs(direction).argmax(axis=1)[:, None], axis=1)
-    direction = np.where(tensors.modulus(fabric)[:, None] > 0, direction * np.sign(largest), 0.0)
-    return {"p": -tensors.trace(stress) / 3, "stress_ratio": stress_ratio(stress), "Z2": mean(states.coordination_number), "phi": mean(states.volume_fraction),
-            "A": tensors.modulus(fabric), "A_direction": direction, "shear_strain": mean(problem.shear_strain),
-            "dilatancy": dilatancy, "eta_t": mean(problem.material.transverse_modulus(states))}
+    first = np.take_along_axis(direction, (abs(direction) > NEAR).argmax(axis=1)[:, None], axis=1)
+    direction = np.where(tensors.modulus(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
+    return {"p": -tensors.trace(stress) / 3, "stress_ratio": stress_ratio(stress), "Z2": mean(states.coordination_number),
+            "phi": mean(states.volume_fraction), "A": tensors.modulus(fabric), "A_direction": direction,
+            "shear_strain": mean(problem.shear_strain), "dilatancy": dilatancy,
+            "eta_t": mean(problem.material.transverse_modulus(states))}
 
 
 def stress_ratio(stress):
@@ -93,7 +95,7 @@ class Output:
     def position(self):
         """What brings the files back to where they are now; on rank 0, after everything is safely on disk."""
         sizes = []
-        for path in self.growing:
+        for path in self.growing if self.written is not None else ():
             with open(path, "rb+") as file:
                 os.fsync(file.fileno())
                 sizes.append(file.seek(0, os.SEEK_END))
@@ -158,7 +160,8 @@ class Fields(Output):
                  f"{self._item(_in_space(vertices.positions), cells.nbytes)}</Geometry>\n"]
         for name, values in arrays.items():
             kind, place = "Vector" if values.ndim == 2 else "Scalar", "Node" if name == "displacement" else "Cell"
-            words.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{place}">{self._item(values, start)}</Attribute>\n')
+            words.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{place}">{self._item(values, start)}'
+                         "</Attribute>\n")
             start += values.nbytes
         with open(self.path, "wb" if new else "rb+") as file:
             if new:

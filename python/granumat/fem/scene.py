@@ -20,9 +20,9 @@ from .output import FIELDS, Fields, Pictures, Probe, Reactions
 from .problem import Problem
 
 # Per kind of mesh: the keys that it needs, and those that it may have.
-MESHES = {"box": (("size", "cells"), ("cell",)), "annulus": (("radii", "cells"), ("height", "cell", "grading")), "gmsh": (("file",), ())}
+MESHES = {"box": (("size", "cells"), ("cell",)), "annulus": (("radii", "cells"), ("height", "cell", "grading")),
+          "gmsh": (("file",), ())}
 TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output")
-K0 = (("phi", "pressure", "K0"), ())
 SIDES = {2: {"left": (0, 0), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)},
          3: {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}}
 CARTESIAN, POLAR = ("x", "y", "z"), ("radial", "circumferential", "z")
@@ -117,7 +117,7 @@ def _function(value, name, faults, start=None):
     if _is_finite(value):
         function = Function((0.0,), (float(value),))
     elif (isinstance(value, list) and value and all(_are_numbers(row, 2) for row in value)
-          and all(before[0] < after[0] for before, after in zip(value, value[1:]))):
+          and all(np.diff([row[0] for row in value]) > 0)):
         function = Function(*(tuple(map(float, column)) for column in zip(*value)))
     else:
         faults.append(f"{name} = {value!r}: must be a number or a table [[t, value], ...] with increasing times")
@@ -141,21 +141,11 @@ def _mesh(content, directory):
         _check_number(table, name, "a number above 0", lambda value: value > 0, faults)
     if kind == "gmsh" and "file" in table and not (isinstance(table["file"], str) and (directory / table["file"]).is_file()):
         faults.append(f"file = {table['file']!r}: there is no such file")
-    if kind == "box" and "size" in table and "cells" in table:
-        faults += [] if faults else _told(meshes.check_box, table["size"], table["cells"], table.get("cell"))
-    if kind == "annulus" and "radii" in table and "cells" in table:
-        faults += [] if faults else _told(meshes.check_annulus, table["radii"], table["cells"], table.get("height"),
-                                          table.get("cell"), table.get("grading", 1.0))
     refuse("is wrong", faults)
+    arguments = {name: value for name, value in table.items() if name != "kind"}
+    if kind != "gmsh":
+        {"box": meshes.check_box, "annulus": meshes.check_annulus}[kind](**arguments)
     return table | ({"file": directory / table["file"]} if kind == "gmsh" else {})
-
-
-def _told(check, *arguments):
-    try:
-        check(*arguments)
-    except ValueError as error:
-        return str(error).split("\n  ")[1:]
-    return []
 
 
 def _kind(mesh):
@@ -187,8 +177,8 @@ def _initial(content, material, kind, d, settings):
     if table.get("state") != "K0":
         state = read_initial(material, content)
         if table["state"] == "steady" and kind != "box":
-            raise ValueError("[initial]: state = 'steady' is uniform shear along x, of a box only; elsewhere it is a function of x, "
-                             "to be given in Python")
+            raise ValueError("[initial]: state = 'steady' is uniform shear along x, of a box only; elsewhere it is a function of "
+                             "x, to be given in Python")
         return _in_plane(state) if state is not None and table["state"] == "steady" and d == 2 else state
     faults = []
     _check_keys(table, ("state", "phi", "pressure"), ("K0",), faults)
@@ -250,7 +240,7 @@ def resting(material, volume_fraction, weight, top, pressure=0.0, k0=1.0):
 
 
 def _condition(entry, kind, d):
-    """One dict a side: the side's name, conditions as functions of what the mesh says, the functions of time in them."""
+    """One dict a side: its name, functions of (where, size of the body) that make conditions, the functions of time in them."""
     faults = []
     _check_keys(entry, ("on",), ("center", *KINDS), faults)
     if not any(key in entry for key in KINDS):
@@ -258,11 +248,11 @@ def _condition(entry, kind, d):
     on = entry.get("on", [])
     on = on if isinstance(on, list) else [on]
     sides = {"box": tuple(SIDES.get(d, ())), "annulus": ("inner", "outer", *(("bottom", "top") if d == 3 else ()))}.get(kind)
-    if not on and "on" in entry or not all(isinstance(name, str) or (sides is None and isinstance(name, int)) for name in on):
+    if ("on" in entry and not on) or not all(isinstance(name, str) or (sides is None and isinstance(name, int)) for name in on):
         faults.append(f"on = {entry['on']!r}: must be a side or a list of sides")
     elif sides is not None:
         faults += [f"on: {name!r} is no side: must be one of {', '.join(sides)}" for name in on if name not in sides]
-    axes = POLAR if kind == "annulus" else CARTESIAN
+    axes, local = (POLAR, polar()) if kind == "annulus" else (CARTESIAN, None)
     names = axes if d != 2 else axes[:2]
     made, functions = [], []
 
@@ -277,7 +267,7 @@ def _condition(entry, kind, d):
         given = components("displacement", 0.0)
         functions += given.values()
         if given:
-            made.append(lambda where, size: Displacement(where, _vectors(given, kind), sorted(given), polar() if kind == "annulus" else None))
+            made.append(lambda where, size: Displacement(where, _vectors(given, kind), sorted(given), local))
     if "rotation" in entry:
         angle = _function(entry["rotation"], "rotation", faults, 0.0)
         functions.append(angle)
@@ -294,7 +284,7 @@ def _condition(entry, kind, d):
             faults.append(f"platen = {entry['platen']!r}: must be the component that is the same on the whole side, "
                           f"one of {', '.join(names)}")
         else:
-            made.append(lambda where, size: Tied(where, names.index(entry["platen"]), polar() if kind == "annulus" else None))
+            made.append(lambda where, size: Tied(where, names.index(entry["platen"]), local))
     if "pressure" in entry:
         pressure = _function(entry["pressure"], "pressure", faults)
         functions.append(pressure)
@@ -304,7 +294,8 @@ def _condition(entry, kind, d):
             faults.append("traction: on a ring only pressure; a traction there is to be given in Python")
         traction = components("traction") if kind != "annulus" else {}
         functions += traction.values()
-        made.append(lambda where, size: Traction(where, lambda t: [traction[i](t) if i in traction else 0.0 for i in range(len(size))]))
+        made.append(lambda where, size: Traction(
+            where, lambda t: [traction[i](t) if i in traction else 0.0 for i in range(len(size))]))
     if "periodic" in entry:
         pairs = [{"left", "right"}, {"front", "back"}, {"bottom", "top"}]
         if entry["periodic"] is not True or kind != "box" or set(on) not in pairs or len(on) != 2 or len(entry) != 2:

@@ -122,8 +122,8 @@ def _warn_of_reference_blas():
     """The direct solver spends its time in the BLAS that the system's libblas.so.3 is."""
     reference = re.search(r"/\S*/blas/libblas\.so\.3\S*", Path("/proc/self/maps").read_text(encoding="utf-8"))
     if reference:
-        warnings.warn(f"the BLAS is the reference one, {reference[0]}: in large problems the direct solver takes about ten times as "
-                      "long as with OpenBLAS (Debian: libopenblas0)", stacklevel=4)
+        warnings.warn(f"the BLAS is the reference one, {reference[0]}: in large problems the direct solver takes about ten times "
+                      "as long as with OpenBLAS (Debian: libopenblas0)", stacklevel=4)
 
 
 def default_options(unknowns, dimension, ranks):
