@@ -1,6 +1,7 @@
 """The command `granumat`, the same as `python3 -m granumat`."""
 
 import argparse
+import logging
 import sys
 import traceback
 import warnings
@@ -76,6 +77,7 @@ def run_solve(options):
         from .fem import scene
     except ImportError as error:
         raise ImportError(f"granumat solve needs DOLFINx (Debian: python3-dolfinx): {error}") from None
+    logging.captureWarnings(False)                               # DOLFINx's compiler has taken them for its log
     options.quiet = MPI.COMM_WORLD.rank > 0
     try:
         problem, written = scene.solve(options.scene, options.out, options.resume, progress=sys.stderr)

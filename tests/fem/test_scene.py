@@ -223,6 +223,7 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
         assert words in said, words + "\n" + said
     assert "size" not in faults(tmp_path, '[mesh]\nkind = "sphere"\n') and "must be one of box, annulus, gmsh" in faults(
         tmp_path, '[mesh]\nkind = "sphere"\n')
+    assert "must be one of steady, isotropic, given, K0" in faults(tmp_path, "[initial]")
     assert "not a TOML file" in faults(tmp_path, "[mesh")
 
 
@@ -243,6 +244,9 @@ def granumat(cwd, *arguments, ranks=1):
 def test_the_command_stops_with_words_and_goes_on_from_there(tmp_path):
     text = ANNULUS.replace("[10, 0.02]", "[2, 0.004], [2.1, 3]").replace("increment = 1", "increment = 1\nsmallest = 0.05")
     written(tmp_path, text)
+    done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume", ranks=2)
+    assert done.returncode == 2 and done.stderr.count("there is no out/checkpoint.npz to go on from") == 1
+    assert not (tmp_path / "out").exists()
     done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", ranks=2)
     assert done.returncode == 1 and done.stderr.count("granumat: the increment from t = 2 cannot be solved") == 1
     assert "everything up to t = 2 is in out: fields.xdmf, reactions.csv" in done.stderr and "Traceback" not in done.stderr

@@ -9,9 +9,10 @@ from mpi4py import MPI
 
 from .. import tensors
 from ..material import STATE, Material, is_number, refuse
-from ..paths import attempt, read_initial, read_material, table_of
+from ..paths import INITIAL, attempt, read_initial, read_material, table_of
 from . import meshes
 from ._compat import gmsh_mesh
+from .cellwise import on_rank_0
 from .checkpoint import Checkpoint, resume
 from .conditions import Displacement, Periodic, Pressure, Tied, Traction, polar, rotation
 from .control import run
@@ -174,7 +175,9 @@ def _settings(content, d):
 def _initial(content, material, kind, d, settings):
     """The initial state, or a function of the problem's mesh that makes it: a state of depth below the surface."""
     table = table_of(content, "initial")
-    if table.get("state") != "K0":
+    if table.get("state") not in (*INITIAL, "K0"):
+        raise ValueError(f"[initial]: state = {table.get('state')!r}: must be one of {', '.join(INITIAL)}, K0")
+    if table["state"] != "K0":
         state = read_initial(material, content)
         if table["state"] == "steady" and kind != "box":
             raise ValueError("[initial]: state = 'steady' is uniform shear along x, of a box only; elsewhere it is a function of "
@@ -443,11 +446,14 @@ def solve(path, out, resumed=False, comm=MPI.COMM_WORLD, progress=None):
     outputs += [Probe(out / f"probe-{name}.csv", x) for name, x in scene.output["probes"].items()]
     outputs += [Pictures(out, field, **when) for field in scene.output["pictures"]]
     checkpoint = Checkpoint(out / "checkpoint.npz", outputs, **scene.output["checkpoint"])
-    if comm.rank == 0:
+
+    def prepare():
+        if resumed and not checkpoint.path.exists():
+            raise FileNotFoundError(f"there is no {checkpoint.path} to go on from: run it without --resume")
         out.mkdir(parents=True, exist_ok=True)
         if not resumed:
             checkpoint.path.unlink(missing_ok=True)              # of an earlier run
-    comm.Barrier()
+    on_rank_0(comm, prepare)
     if resumed:
         resume(checkpoint.path, problem, outputs)
     written = [output.path for output in outputs if not isinstance(output, Pictures)] + [checkpoint.path]
