@@ -1,7 +1,9 @@
 """The command `granumat`, the same as `python3 -m granumat`."""
 
 import argparse
+import logging
 import sys
+import traceback
 import warnings
 from pathlib import Path
 
@@ -17,6 +19,7 @@ def main(arguments=None):
     """Runs the command; returns its exit status: 0, 1 for a failed computation, 2 for a mistake in what was asked."""
     parser = argparse.ArgumentParser(prog="granumat", description="Rate-independent granular materials with evolving "
                                      "microstructure, after Sun & Sundaresan (2011).")
+    parser.set_defaults(quiet=False)
     parser.add_argument("--version", action="version", version=f"granumat {__version__}")
     commands = parser.add_subparsers(required=True)
 
@@ -29,6 +32,9 @@ def main(arguments=None):
 
     command("point", run_point, "run a path file at one material point").add_argument(
         "path", type=Path, help="the path, a TOML file")
+    solve = command("solve", run_solve, "run a scene file: a boundary-value problem on a mesh; under mpirun on several ranks")
+    solve.add_argument("scene", type=Path, help="the scene, a TOML file")
+    solve.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
     command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives").add_argument(
@@ -42,12 +48,10 @@ def main(arguments=None):
     warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
     try:
         options.run(options)
-    except (ValueError, OSError, ImportError) as error:
-        print(f"granumat: {error}", file=sys.stderr)
-        return 2
-    except GranumatError as error:
-        print(f"granumat: {error}", file=sys.stderr)
-        return 1
+    except (ValueError, OSError, ImportError, GranumatError) as error:
+        if not options.quiet:
+            print(f"granumat: {error}", file=sys.stderr)
+        return 1 if isinstance(error, GranumatError) else 2
     return 0
 
 
@@ -66,6 +70,26 @@ def run_point(options):
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
         print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in SAID_ON_SCREEN))
     print(f"wrote {options.out / 'history.csv'}\nwrote {options.out / 'history.png'}")
+
+
+def run_solve(options):
+    try:
+        from mpi4py import MPI
+
+        from .fem import scene
+    except ImportError as error:
+        raise ImportError(f"granumat solve needs DOLFINx (Debian: python3-dolfinx): {error}") from None
+    logging.captureWarnings(False)                               # DOLFINx's compiler has taken them for its log
+    options.quiet = MPI.COMM_WORLD.rank > 0
+    try:
+        problem, written = scene.solve(options.scene, options.out, options.resume, progress=sys.stderr)
+    except (ValueError, OSError, ImportError, GranumatError):
+        raise                                                    # on all ranks
+    except BaseException:
+        traceback.print_exc()
+        MPI.COMM_WORLD.Abort(1)                                  # or the other ranks wait for ever
+    if not options.quiet:
+        print(f"t = {problem.t:g} after {problem.increments} increments", *(f"wrote {path}" for path in written), sep="\n")
 
 
 def run_figures(options):

@@ -58,19 +58,19 @@ def read_path_file(path):
             raise ValueError(f"{path}: not a TOML file: {error}") from None
     faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance, output"
               for name in content if name not in ("material", "initial", "step", "tolerance", "output")]
-    material = _attempt(faults, "", _material, content)
-    state = _attempt(faults, "", _initial, material, content)
+    material = attempt(faults, "", read_material, content)
+    state = attempt(faults, "", read_initial, material, content)
     entries = content.get("step", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         faults.append("no steps: give at least one [[step]]")
         entries = []
     steps = []
     for number, entry in enumerate(entries, 1):
-        steps += _attempt(faults, f"step {number}: ", read_step, entry, path.parent) or []
+        steps += attempt(faults, f"step {number}: ", read_step, entry, path.parent) or []
     tolerance = content.get("tolerance", driver.TOLERANCE)
     if not is_number(tolerance) or not 0 < tolerance < 1:
         faults.append(f"tolerance = {tolerance!r}: must be a number in (0, 1)")
-    output = _attempt(faults, "", _table, content, "output") or {}
+    output = attempt(faults, "", table_of, content, "output") or {}
     faults += [f"[output]: unknown key {key!r}: allowed is acoustic" for key in output if key != driver.ACOUSTIC]
     acoustic = output.get(driver.ACOUSTIC, False)
     if not isinstance(acoustic, bool):
@@ -79,7 +79,7 @@ def read_path_file(path):
     return PathFile(material, state, steps, tolerance, acoustic)
 
 
-def _attempt(faults, prefix, function, *arguments):
+def attempt(faults, prefix, function, *arguments):
     """The result, or None and one more fault."""
     try:
         return function(*arguments)
@@ -88,19 +88,19 @@ def _attempt(faults, prefix, function, *arguments):
         return None
 
 
-def _table(content, name):
+def table_of(content, name):
     table = content.get(name, {})
     if not isinstance(table, dict):
         raise ValueError(f"{name}: must be a table [{name}]")
     return table
 
 
-def _material(content):
-    return Material(**_table(content, "material"))
+def read_material(content):
+    return Material(**table_of(content, "material"))
 
 
-def _initial(material, content):
-    table = _table(content, "initial")
+def read_initial(material, content):
+    table = table_of(content, "initial")
     kind = table.get("state")
     if kind not in INITIAL:
         raise ValueError(f"[initial]: state = {kind!r}: must be one of {', '.join(INITIAL)}")

@@ -1,10 +1,13 @@
 """Quasi-static boundary-value problems on DOLFINx meshes. Needs DOLFINx; granumat itself does not."""
 
 from . import meshes
+from .checkpoint import Checkpoint, resume
 from .conditions import Displacement, Periodic, Pressure, Tied, Traction, polar, rotation
 from .control import run
 from .errors import SolveError
+from .output import Fields, Pictures, Probe, Reactions, cell_fields, field_figure
 from .problem import Problem, Tolerances
 
-__all__ = ["Displacement", "Periodic", "Pressure", "Problem", "SolveError", "Tied", "Tolerances", "Traction", "meshes", "polar",
-           "rotation", "run"]
+__all__ = ["Checkpoint", "Displacement", "Fields", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Reactions",
+           "SolveError", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes", "polar", "resume", "rotation",
+           "run"]

@@ -88,3 +88,38 @@ def mesh_of(comm, cell, cells, positions):
     with _quietly():
         return mesh.create_mesh(comm, cells=np.asarray(cells, np.int64), x=np.asarray(positions, float),
                                 **{"domain" if not hasattr(basix, "ufl") else "e": domain})
+
+
+def gmsh_mesh(comm, path):
+    """The mesh of a gmsh file, its facet tags, and the tags of its facets' physical names."""
+    try:
+        import gmsh
+    except ImportError:
+        raise ImportError("meshes from gmsh files need the Python module of gmsh (Debian: python3-gmsh)") from None
+    try:
+        from dolfinx.io import gmshio as reader
+    except ImportError:
+        from dolfinx.io import gmsh as reader
+    what, error = None, None
+    if comm.rank == 0:
+        gmsh.initialize()
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.open(str(path))
+            d = gmsh.model.getDimension()
+            groups = gmsh.model.getPhysicalGroups()
+            if d not in (2, 3) or not any(dimension == d for dimension, _ in groups):
+                error = f"{path}: must have a physical group of surfaces (plane) or volumes, the cells of the body"
+            names = {gmsh.model.getPhysicalName(*group): group[1] for group in groups if group[0] == d - 1}
+            what = d, {name: tag for name, tag in names.items() if name}
+        except Exception as raised:                              # gmsh raises nothing more special
+            error = f"{path} cannot be read by gmsh: {raised}"
+    error, what = comm.bcast((error, what))
+    if error is None:
+        with _quietly():
+            found = reader.model_to_mesh(gmsh.model, comm, 0, gdim=what[0])
+    if comm.rank == 0:
+        gmsh.finalize()
+    if error is not None:
+        raise ValueError(error)
+    return found[0], found[2], what[1]

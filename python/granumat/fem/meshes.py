@@ -21,7 +21,7 @@ def box(comm, size, cells, cell=None):
     cell : str, optional
         "quadrilateral" or "triangle"; "hexahedron" or "tetrahedron".
     """
-    cell = _check(size, cells, cell)
+    cell = check_box(size, cells, cell)
     kind = getattr(dolfinx.mesh.CellType, cell)
     create = dolfinx.mesh.create_rectangle if len(size) == 2 else dolfinx.mesh.create_box
     return create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), kind)
@@ -44,12 +44,10 @@ def annulus(comm, radii, cells, height=None, cell=None, grading=1.0, angle=2 * n
     angle : float, optional
         Of a part, to be tied to itself by Periodic with polar axes; the sectors are then those of the part.
     """
-    sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
-    cell = _check(sizes[-2:] if height is None else sizes, cells, cell,
-                  radii[0] > 0 and cells[1] * 2 * np.pi >= 3 * angle > 0 and angle <= 2 * np.pi and grading > 0)
+    cell = check_annulus(radii, cells, height, cell, grading, angle)
     rings, sectors = cells[:2]
     widths = np.geomspace(1, grading, rings)
-    r = radii[0] + sizes[1] * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
+    r = radii[0] + (radii[1] - radii[0]) * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
     r[-1] = radii[1]
     rays = sectors if angle == 2 * np.pi else sectors + 1
     theta = angle * np.arange(rays) / sectors
@@ -74,7 +72,15 @@ def _split(corners, cell):
     return corners
 
 
-def _check(size, cells, cell, more=True):
+def check_annulus(radii, cells, height=None, cell=None, grading=1.0, angle=2 * np.pi):
+    """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
+    sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
+    return check_box(sizes[-2:] if height is None else sizes, cells, cell,
+                     radii[0] > 0 and cells[1] * 2 * np.pi >= 3 * angle > 0 and angle <= 2 * np.pi and grading > 0)
+
+
+def check_box(size, cells, cell=None, more=True):
+    """The name of the cells' shape; ValueError where box cannot be made of its arguments."""
     faults = []
     if len(size) not in (2, 3) or not (np.asarray(size, float) > 0).all() or not more:
         faults.append(f"sizes {size!r}: must be 2 or 3 numbers above 0; of a ring also radius, grading, and "

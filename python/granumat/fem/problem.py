@@ -113,6 +113,8 @@ class Problem:
         Of this rank's own cells, cell by cell.
     shear_strain, volume_strain : array (points)
         Accumulated 2 integral abs(S) ds, and integral of tr D.
+    increments : int
+        How many were accepted.
     last : Trial or None
         The increment accepted last.
     next_increment : float or None
@@ -161,7 +163,7 @@ class Problem:
         self._given = self._numbering.labels == GIVEN
         self._turned_cells = np.flatnonzero(self._numbering.turned[self._nodes].any(axis=1))
 
-        self.t, self.last, self._last_duration, self.next_increment = 0.0, None, None, None
+        self.t, self.increments, self.last, self._last_duration, self.next_increment = 0.0, 0, None, None, None
         self.displacement = np.zeros_like(self.positions)
         points = self.cells * len(self._element.weights)
         self.states = np.empty(points, STATE).view(np.recarray)
@@ -197,9 +199,9 @@ class Problem:
         pairs = [(cell, np.flatnonzero(to_facet.links(cell) == facet)[0]) for cell, facet in pairs if cell < self.cells]
         return np.array(pairs, np.int32).reshape(-1, 2)
 
-    def point_positions(self):
-        """Positions (points, d) of the integration points now."""
-        x = self._at_cells(self.positions + self.displacement)
+    def point_positions(self, at_start=False):
+        """Positions (points, d) of the integration points now, or where they were at the start."""
+        x = self._at_cells(self.positions if at_start else self.positions + self.displacement)
         return np.einsum("qa,cai->cqi", self._element.values, x).reshape(-1, self.d)
 
     def point_volumes(self):
@@ -295,7 +297,7 @@ class Problem:
         if trial.failure:
             raise ValueError(f"the trial was not solved: {trial.failure}")
         self._last_duration = trial.t - self.t
-        self.t, self.last = trial.t, trial
+        self.t, self.increments, self.last = trial.t, self.increments + 1, trial
         self.displacement = self.displacement + trial.u
         self.states = trial.states
         strain = tensors.six((trial.gradients + trial.gradients.transpose(0, 2, 1)) / 2)

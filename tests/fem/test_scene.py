@@ -1,0 +1,329 @@
+"""A scene is a file: what it may say, what is refused, and that it does what the same Python does."""
+
+import contextlib
+import io
+import os
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mpi4py import MPI
+
+from granumat import Material, fem, tensors
+from granumat.fem import scene, system
+
+ROOT = Path(__file__).parents[2]
+BOX = """
+[material]
+elastic_strain = 0.01
+[mesh]
+kind = "box"
+size = [1, 0.5]
+cells = [4, 2]
+[initial]
+state = "isotropic"
+phi = 0.60
+pressure = 0.007
+[[condition]]
+on = "bottom"
+displacement = { x = 0, y = 0 }
+[[condition]]
+on = "top"
+displacement = { x = [[0, 0], [3.5, 0.02], [10, -0.02]] }
+platen = "y"
+pressure = [[0, 0.007], [10, 0.008]]
+[[condition]]
+on = ["left", "right"]
+periodic = true
+[run]
+until = 6
+increment = 1
+"""
+
+
+def written(tmp_path, text):
+    (tmp_path / "scene.toml").write_text(text)
+    return tmp_path / "scene.toml"
+
+
+def faults(tmp_path, text):
+    with pytest.raises(ValueError) as caught:
+        scene.read_scene(written(tmp_path, text))
+    return str(caught.value)
+
+
+def test_the_file_does_what_the_same_python_does(tmp_path):
+    found, _ = scene.solve(written(tmp_path, BOX), tmp_path / "out")
+    material = Material(0.5, elastic_strain=0.01)
+    bottom, top, right = (lambda x: np.isclose(x[1], 0)), (lambda x: np.isclose(x[1], 0.5)), (lambda x: np.isclose(x[0], 1))
+    problem = fem.Problem(
+        fem.meshes.box(MPI.COMM_WORLD, [1, 0.5], [4, 2]), material, material.isotropic(0.6, pressure=0.007),
+        [fem.Displacement(bottom), fem.Displacement(top, lambda x, t: [np.interp(t, [0, 3.5, 10], [0, 0.02, -0.02]), 0], [0]),
+         fem.Tied(top, 1), fem.Pressure(top, lambda t: 0.007 + 0.0001 * t), fem.Periodic(right, lambda x: x - [1, 0])])
+    fem.run(problem, 6, 1.0, events=[3.5])
+    np.testing.assert_allclose(found.displacement, problem.displacement, atol=1e-13)
+    table = np.genfromtxt(tmp_path / "out/reactions.csv", delimiter=",", names=True)
+    assert table["t"].tolist() == [1, 2, 3, 3.5, 4.5, 5.5, 6]                       # the kink is met
+    np.testing.assert_allclose(table["bottom_F_y"], 0.007 + 0.0001 * table["t"], rtol=1e-8)
+    np.testing.assert_allclose(table["top_F_x"], -table["bottom_F_x"], rtol=1e-8)
+
+
+ANNULUS = """
+[material]
+elastic_strain = 0.01
+[mesh]
+kind = "annulus"
+radii = [1, 2]
+cells = [3, 12]
+[initial]
+state = "isotropic"
+phi = 0.60
+pressure = 0.01
+[[condition]]
+on = "inner"
+rotation = [[0, 0], [10, 0.02]]
+[[condition]]
+on = "outer"
+displacement = { circumferential = 0 }
+platen = "radial"
+pressure = 0.01
+[run]
+until = 3
+increment = 1
+[output]
+every = 2
+pictures = ["p"]
+probes = { wall = [1.1, 0] }
+"""
+
+
+def test_the_ring_turns_and_stays_round(tmp_path):
+    problem, files = scene.solve(written(tmp_path, ANNULUS), tmp_path / "out")
+    radius = np.hypot(*problem.positions.T)
+    now = problem.positions + problem.displacement
+    inner, outer = np.isclose(radius, 1), np.isclose(radius, 2)
+    np.testing.assert_allclose(np.hypot(*now[inner].T), 1, atol=1e-13)
+    turn = np.arctan2(*np.flip(now[inner].T, axis=0)) - np.arctan2(*np.flip(problem.positions[inner].T, axis=0))
+    np.testing.assert_allclose(np.mod(turn + 1, 2 * np.pi) - 1, 0.006, atol=1e-13)
+    assert np.ptp(np.hypot(*now[outer].T)) < 1e-13 and abs(np.hypot(*now[outer].T) - 2).max() > 1e-6
+    assert all(path.exists() for path in files)
+    assert sorted(path.name for path in (tmp_path / "out").glob("*.png")) == [f"p-00000{i}.png" for i in (0, 2, 3)]
+
+
+def test_a_block_with_pressure_and_gravity_rests(tmp_path):
+    problem, _ = scene.solve(written(tmp_path, """
+        [material]
+        elastic_strain = 0.01
+        [mesh]
+        kind = "box"
+        size = [1, 1, 2]
+        cells = [2, 2, 4]
+        [initial]
+        state = "K0"
+        phi = 0.60
+        pressure = 0.01
+        K0 = 0.8
+        [problem]
+        gravity = [0, 0, -0.003]
+        [[condition]]
+        on = ["left", "right"]
+        displacement = { x = 0 }
+        [[condition]]
+        on = ["front", "back"]
+        displacement = { y = 0 }
+        [[condition]]
+        on = "bottom"
+        displacement = { z = 0 }
+        [[condition]]
+        on = "top"
+        pressure = 0.01
+        [run]
+        until = 1
+        increment = 1
+    """), tmp_path / "out")
+    assert abs(problem.displacement).max() < 1e-12
+    table = np.genfromtxt(tmp_path / "out/reactions.csv", delimiter=",", names=True)
+    assert table["bottom_F_z"] == pytest.approx(0.01 + 0.6 * 0.003 * 2, rel=1e-9)
+    depth = 2 - problem.point_positions()[:, 2]
+    vertical = 0.01 + 0.6 * 0.003 * depth
+    np.testing.assert_allclose(-problem.states.stress[:, 2], vertical, rtol=1e-6)
+    np.testing.assert_allclose(table["left_F_x"], (0.8 * vertical).mean() * 2, rtol=1e-6)
+    p = -tensors.trace(Material(0.5).evaluate(problem.states)[0]) / 3
+    np.testing.assert_allclose(p, vertical * 2.6 / 3, rtol=1e-6)                     # Z2 goes with the pressure
+
+
+def test_steady_shear_is_steady_along_x(tmp_path):
+    text = BOX
+    for old, new in {
+            'state = "isotropic"\nphi = 0.60\npressure = 0.007': 'state = "steady"\nphi = 0.60',
+            'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]': "",
+            "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = [[0, 0], [10, 0.05]], y = 0",
+            "[4, 2]": "[4, 1]"}.items():                                          # several rows: any of them may take the shear
+        assert old in text
+        text = text.replace(old, new)
+    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
+    start = Material(0.5, elastic_strain=0.01).steady(0.60)
+    for name in ("fabric", "stress"):
+        turned = start[name][[0, 2, 1, 4, 3, 5]]
+        np.testing.assert_allclose(problem.states[name], np.tile(turned, (len(problem.states), 1)), atol=1e-9)
+
+
+def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
+    said = faults(tmp_path, """
+        tolerence = 3
+        [material]
+        mu = 1.5
+        [mesh]
+        kind = "box"
+        size = [1, 0.5]
+        cells = [4, -2]
+        [initial]
+        state = "K0"
+        phi = 60
+        [problem]
+        degree = 3
+        gravity = [0, "down"]
+        [[condition]]
+        on = "lid"
+        displacement = { x = 1, q = 0 }
+        [[condition]]
+        displacement = { x = [[0, 0], [0, 1]] }
+        rotation = 0.1
+        [[condition]]
+        on = ["left", "top"]
+        periodic = true
+        [[condition]]
+        on = "left"
+        [[condition]]
+        on = "left"
+        platen = "normal"
+        center = [0]
+        [run]
+        until = -1
+        [output]
+        every = 0
+        times = ["end"]
+        pictures = ["q"]
+        probes = { "a/b" = [0, 0] }
+        checkpoint = 3
+        fields = 3
+    """)
+    for words in (
+            "'tolerence'", "mu = 1.5", "cells = [4, -2]: must be 2 integers above 0", "[initial]", "phi = 60",
+            "pressure is missing", "degree = 3", "gravity = [0, 'down']",
+            "'lid' is no side: must be one of left, right, bottom, top", "must be a table with some of x, y",
+            "condition 2", "on is missing", "increasing times", "rotation = 0.1: must be 0 at t = 0",
+            "periodic = true stands alone", "condition 4: is wrong:\n    says nothing", "platen = 'normal'",
+            "center belongs to rotation", "until = -1", "increment is missing", "every = 0", "times = ['end']",
+            "pictures = ['q']", "probes: their names", "checkpoint = 3", "unknown key 'fields'"):
+        assert words in said, words + "\n" + said
+    assert "size" not in faults(tmp_path, '[mesh]\nkind = "sphere"\n') and "must be one of box, annulus, gmsh" in faults(
+        tmp_path, '[mesh]\nkind = "sphere"\n')
+    assert "must be one of steady, isotropic, given, K0" in faults(tmp_path, "[initial]")
+    assert "not a TOML file" in faults(tmp_path, "[mesh")
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "demos/scenes").glob("*.toml")), ids=lambda path: path.stem)
+def test_scenes_of_the_demos_run(tmp_path, path):
+    text, count = re.subn(r"until = \d+", "until = 2", path.read_text())
+    assert count == 1
+    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
+    assert problem.t == 2 and problem.increments == 2
+
+
+def granumat(cwd, *arguments, ranks=1):
+    command = ["mpirun", "--oversubscribe", "--allow-run-as-root", "--mca", "mpi_yield_when_idle", "1", "-n",
+               ranks, sys.executable, "-m", "granumat", *arguments]
+    return subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, env=dict(os.environ))
+
+
+def test_the_command_stops_with_words_and_goes_on_from_there(tmp_path):
+    text = ANNULUS.replace("[10, 0.02]", "[2, 0.004], [2.1, 3]").replace("increment = 1", "increment = 1\nsmallest = 0.05")
+    written(tmp_path, text)
+    done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume", ranks=2)
+    assert done.returncode == 2 and done.stderr.count("there is no out/checkpoint.npz to go on from") == 1
+    assert not (tmp_path / "out").exists()
+    done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", ranks=2)
+    assert done.returncode == 1 and done.stderr.count("granumat: the increment from t = 2 cannot be solved") == 1
+    assert "everything up to t = 2 is in out: fields.xdmf, reactions.csv" in done.stderr and "Traceback" not in done.stderr
+    table = (tmp_path / "out/reactions.csv").read_text()
+    assert table.count("\n") == 3
+    written(tmp_path, ANNULUS.replace("[10, 0.02]", "[2, 0.004], [4, 0]"))
+    done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume")
+    assert done.returncode == 0 and "t = 3 after" in done.stdout
+    assert (tmp_path / "out/reactions.csv").read_text().startswith(table)
+    written(tmp_path, ANNULUS.replace("elastic_strain = 0.01", "elastic_strain = 0.02"))
+    done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume", ranks=2)
+    assert done.returncode == 2 and done.stderr.count("material's elastic_strain: 0.01 in the checkpoint, 0.02 here") == 1
+
+
+GEO = """
+Rectangle(1) = {0, 0, 0, 1, 0.5};
+Physical Surface("sand") = {1};
+Physical Curve("floor") = {1};
+Physical Curve("lid", 7) = {3};
+Physical Curve("sides") = {2, 4};
+Mesh.CharacteristicLengthMax = 0.25;
+"""
+
+
+def test_a_gmsh_file_is_held_by_its_physical_names_and_numbers(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    (tmp_path / "box.geo").write_text('SetFactory("OpenCASCADE");' + GEO)
+    gmsh.open(str(tmp_path / "box.geo"))
+    gmsh.model.mesh.generate(2)
+    gmsh.write(str(tmp_path / "box.msh"))
+    gmsh.finalize()
+    text = BOX.replace('kind = "box"\nsize = [1, 0.5]\ncells = [4, 2]', 'kind = "gmsh"\nfile = "box.msh"')
+    text = text.replace('on = ["left", "right"]\nperiodic = true', 'on = "sides"\npressure = 0.007')
+    text = text.replace('on = "bottom"', 'on = "floor"').replace('on = "top"', "on = 7")
+    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
+    lid = np.isclose(problem.positions[:, 1], 0.5)
+    np.testing.assert_allclose(problem.displacement[lid, 0], np.interp(6, [3.5, 10], [0.02, -0.02]), atol=1e-14)
+    assert (problem.displacement[np.isclose(problem.positions[:, 1], 0)] == 0).all()
+    with pytest.raises(ValueError, match="there are no facets 'cellar': the file names floor, lid, sides"):
+        scene.solve(written(tmp_path, text.replace('"floor"', '"cellar"')), tmp_path / "out")
+
+
+def test_without_gmsh_a_gmsh_file_is_refused_with_the_packages_name(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gmsh", None)
+    (tmp_path / "box.msh").write_text("")
+    text = re.sub(r"\[\[condition\]\].*?\[run", "[run", BOX, flags=re.S)
+    text = text.replace('kind = "box"\nsize = [1, 0.5]\ncells = [4, 2]', 'kind = "gmsh"\nfile = "box.msh"')
+    with pytest.raises(ImportError, match="python3-gmsh"):
+        scene.solve(written(tmp_path, text), tmp_path / "out")
+
+
+def test_the_reference_blas_is_warned_of_with_the_better_package(monkeypatch):
+    maps = "7f00-7f01 r-xp 0 08:01 3 /usr/lib/x86_64-linux-gnu/{}/libblas.so.3.11.0\n"
+    for place, told in (("blas", True), ("openblas-pthread", False)):
+        monkeypatch.setattr(system.Path, "read_text", lambda self, place=place, **_: maps.format(place))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            system._warn_of_reference_blas()
+        assert [("libopenblas0" in str(warning.message)) for warning in caught] == [True] * told
+
+
+def test_the_scene_file_of_readme_runs(tmp_path):
+    text = re.search(r"```toml\n(\[material\][^`]*\[mesh\].*?)```", (ROOT / "README.md").read_text(), re.S)[1]
+    with_keys = text.replace("until = 120", "until = 1").replace("cells = [16, 8]", "cells = [4, 2]")
+    problem, files = scene.solve(written(tmp_path, with_keys), tmp_path / "out")
+    assert problem.t == 1 and len(files) == 4 and all(path.exists() for path in files)
+
+
+def test_the_first_problem_of_readme_prints_what_readme_says(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    readme = (ROOT / "README.md").read_text()
+    example, printed = re.search(r"```python\n(from granumat import Material, fem\n.*?)```\n\n```\n(.*?)```", readme, re.S).groups()
+    assert example.count("\n") <= 15
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        exec(example, {})
+    assert said.getvalue() == printed
+    assert {path.name for path in tmp_path.iterdir()} == {"ring.xdmf", "ring.bin", "torque.csv", "phi-000025.png"}
