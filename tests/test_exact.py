@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 import reference
 from granumat import STATE, Material, tensors
@@ -88,3 +89,21 @@ def test_quadratic_friction_and_isotropic_term_follow_the_reference():
     old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.six(fabric), z2, phi
     new = Material(0.5, friction="quadratic", b1=0.2, b2=-2.0, b3=3.0, g=1e-3).update(old, gradient)
     np.testing.assert_allclose(-new.stress, tensors.six(dev + reference.scale(p, np.eye(3))), atol=1e-14)
+
+
+def test_a_stress_that_does_not_relax_turns_with_the_spin():
+    rng = np.random.default_rng(10)
+    material = Material(elastic_strain=1.0)
+    old = np.zeros(100, STATE)
+    old["fabric"] = material.steady(0.60).fabric
+    old["coordination_number"], old["volume_fraction"] = material["Zc"] - 1, 0.55       # without pressure, in a strain of round-off
+    spin = rng.normal(size=(100, 3, 3))
+    spin = spin - np.swapaxes(spin, 1, 2)
+    spin *= rng.uniform(0, 1, (100, 1, 1)) / np.sqrt((spin**2).sum((1, 2), keepdims=True) / 2)
+    stress = rng.normal(size=(100, 3, 3))
+    stress = stress + np.swapaxes(stress, 1, 2)
+    stress -= np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
+    old["stress"] = tensors.six(stress)
+    turn = np.array([expm(w) for w in spin])
+    new = material.update(old, spin + 1e-16 * np.diag([1, -1, 0]))
+    np.testing.assert_allclose(new.stress, tensors.six(turn @ stress @ np.swapaxes(turn, 1, 2)), rtol=0, atol=1e-14)
