@@ -94,7 +94,7 @@ def report(runs, exact, found, turn):
 def check(runs, exact, turn):
     for wall, (columns, _, _) in runs.items():
         after = columns["path"] > turn
-        assert max(abs(columns["torque"] - exact[wall]["torque"])) < 0.015 * max(columns["torque"])
+        assert max(abs(columns["torque"] - exact[wall]["torque"])) < 0.01 * max(columns["torque"])
         assert columns["iterations"][after].mean() < 5 and len(columns["path"]) == len(exact[wall]["path"])
         assert max(columns["scatter"]) < 1e-6
         assert max(columns["scatter_points"][~after]) < 0.02 and max(columns["scatter_points"]) < 0.1
