@@ -1,6 +1,7 @@
 """The annular shear cell that annulus.py and where_it_fails.py turn: its walls and conditions, and what is measured on it."""
 
 import numpy as np
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from granumat import fem
@@ -97,3 +98,42 @@ def sheared_zone(problem):
 
 def spread(comm, values):
     return comm.allreduce(values.max(initial=-np.inf), MPI.MAX) - comm.allreduce(values.min(initial=np.inf), MPI.MIN)
+
+
+def draw(runs, exact, found, turn, paths):
+    """The picture of annulus.py: runs and radial solutions by wall, and what finer meshes found at two paths."""
+    objective, localised = paths
+    figure = Figure(figsize=(12, 6.4), layout="constrained")
+    panels = figure.subplots(2, 3)
+    colours = {"load": "#0072B2", "volume": "#D55E00"}
+    labels = {"torque": "torque", "pressure": "pressure, first ring", "phi": r"$\phi$, first ring"}
+    for axes, (name, label) in zip(panels.flat, labels.items()):
+        for wall, (columns, _, _) in runs.items():
+            axes.plot(columns["path"], columns[name], color=colours[wall], label=f"constant {wall}")
+            axes.plot(exact[wall]["path"], exact[wall][name], "k:", label="radial solution" if wall == "volume" else None)
+        axes.axvline(turn, color="0.7", linewidth=0.8, zorder=0)
+        axes.set(xlabel="path of the inner wall [rad]", ylabel=label)
+    panels[0, 0].legend(frameon=False)
+    axes, columns = panels[1, 0], runs["load"][0]
+    axes.semilogy(columns["path"], columns["scatter_points"], label="integration points at one radius")
+    axes.semilogy(columns["path"], columns["scatter"], label="cells' means")
+    axes.set(xlabel="path of the inner wall [rad]", ylabel="scatter of p around the first ring")
+    axes.legend(frameon=False)
+    if found:
+        rings = np.array(list(found))
+        early, late, wide = np.abs(np.array(list(found.values()))).T
+        axes = panels[1, 1]
+        axes.loglog(rings, early, "o-", label=f"at {objective} rad, before localisation")
+        axes.loglog(rings, late, "s-", label=f"at {localised} rad, localised")
+        axes.loglog(rings, early[0] * (rings[0] / rings)**2, "k:", label="orders 2 and 1")
+        axes.loglog(rings, late[0] * rings[0] / rings, "k:")
+        axes.set(xlabel="rings of cells", ylabel="relative error of the torque", xticks=rings, xticklabels=rings)
+        axes.legend(frameon=False)
+        axes = panels[1, 2]
+        axes.loglog(rings, wide, "o-", label="90 % of the turn is lost within")
+        axes.loglog(rings, (OUTER - INNER) / rings, "k:", label="width of one ring")
+        axes.set(xlabel="rings of cells", ylabel="width of the sheared zone", xticks=rings, xticklabels=rings)
+        axes.legend(frameon=False)
+        for axes in panels[1, 1:]:
+            axes.minorticks_off()
+    return figure
