@@ -49,8 +49,8 @@ def cell_fields(problem):
     if problem.last is not None:
         change = mean(tensors.six((problem.last.gradients + problem.last.gradients.transpose(0, 2, 1)) / 2))
     distortion = tensors.modulus(tensors.deviator(change))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        dilatancy = np.where(distortion > 0, tensors.trace(change) / distortion, 0.0)
+    dilatancy = np.divide(tensors.trace(change), distortion, out=np.zeros_like(distortion),
+                          where=distortion > NEAR * abs(tensors.trace(change)))
     direction = np.linalg.eigh(tensors.full(fabric))[1][..., -1]
     first = np.take_along_axis(direction, (abs(direction) > NEAR).argmax(axis=1)[:, None], axis=1)
     direction = np.where(tensors.modulus(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
