@@ -7,10 +7,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 from mpi4py import MPI
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from .. import driver, tensors
 from .cellwise import CellOrder, on_rank_0
@@ -348,6 +345,9 @@ def field_figure(polygons, values, label, title=""):
     -------
     matplotlib.figure.Figure
     """
+    from matplotlib.collections import PolyCollection            # here, as few ranks and runs draw
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
     solid = polygons.shape[-1] == 3
     low, high = polygons.min(axis=(0, 1)), polygons.max(axis=(0, 1))
     figure = Figure(figsize=(7, 6), layout="constrained")
