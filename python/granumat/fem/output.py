@@ -345,7 +345,7 @@ def field_figure(polygons, values, label, title=""):
     -------
     matplotlib.figure.Figure
     """
-    from matplotlib.collections import PolyCollection            # here, as few ranks and runs draw
+    from matplotlib.collections import PolyCollection  # here, as few ranks and runs draw
     from matplotlib.figure import Figure
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection
     solid = polygons.shape[-1] == 3
