@@ -20,7 +20,7 @@ contains
     integer, intent(in) :: threads                 ! OpenMP threads to share the points among
     type(material_state), intent(out) :: new(:)
     integer, intent(out) :: status(:)
-    real(dp), intent(out), optional :: tangent(:, :, :)   ! (6 or 9, 6, n): (j, i) = d stress_i / d (strain_j, spin_j)
+    real(dp), intent(out), optional :: tangent(:, :, :)   ! (3, 4, 6 or 9, 6, n): (j, i) = d stress_i / d (seed j), see basis
     type(lane_state) :: x, x_new
     real(dp) :: strain(LANES, 6), spin(LANES, 3), lane_tangent(LANES, 6, N_SEEDS)
     integer :: lane_status(LANES), first, last, i, j, seeds

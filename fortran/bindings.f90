@@ -146,7 +146,7 @@ contains
     call update_batch(par, old, gradient, threads, new, status)
   end subroutine core_update
 
-  !> With the tangent: seeds 6 for the strain, 9 for strain and spin.
+  !> With the tangent: seeds 6 for the strain, 9 for strain and spin; in plane strain 3 and 4.
   subroutine core_tangent(n, threads, seeds, par, old, gradient, new, status, tangent) bind(c)
     integer(c_int), value, intent(in) :: n, threads, seeds
     type(material_parameters), intent(in) :: par
@@ -207,7 +207,8 @@ contains
       K) bind(c)
     integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
     real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
-    real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells), tangent(9, 6, points, cells)
+    real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells)
+    real(c_double), intent(in) :: tangent(merge(4, 9, d == 2), 6, points, cells)
     real(c_double), intent(out) :: K(d * nodes, d * nodes, cells)
     call element_stiffness(shape_gradients, x_new, volume, L, stress, tangent, mean_dilatation /= 0, K)
   end subroutine core_element_stiffness

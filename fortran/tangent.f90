@@ -18,6 +18,7 @@ module granumat_tangent
   public :: basis, by_components, start_variations, vary_inner_step, stress_changes
 
   integer, parameter, public :: N_SEEDS = 9    ! 11 22 33, engineering shears 12 13 23, spins 12 13 23
+  integer, parameter, public :: PLANE_SEEDS(4) = [1, 2, 4, 7]
   integer, parameter :: AT_END = N_NODES + 1   ! behind the nodes of an inner step
   real(dp), parameter :: TANGENT_REST = 1.0e-10_dp  ! first neglected term of the fabric's change over the first one
 
@@ -47,13 +48,20 @@ module granumat_tangent
 
 contains
 
-  !> The seeds of all changes: of the strain two without volume and one without shape, for the fabric sees no volume.
+  !> The seeds of all changes: of the strain two without volume and one without shape, for the fabric sees no volume; or those
+  !! that plane strain has.
   pure function basis(n) result(seeds)
-    integer, intent(in) :: n                             ! 6 for strains, N_SEEDS for strains and spins
+    integer, intent(in) :: n                             ! 6: strains, N_SEEDS: and spins; 3: strains 11 22 12, 4: and spin 12
     real(dp) :: seeds(N_SEEDS, n)
     integer :: j
 
     seeds = 0
+    if (n < 6) then
+      do j = 1, n
+        seeds(PLANE_SEEDS(j), j) = 1
+      end do
+      return
+    end if
     do j = 4, n
       seeds(j, j) = 1
     end do
@@ -64,10 +72,11 @@ contains
 
   !> From changes with the basis to changes with the components.
   pure subroutine by_components(tangent)
-    real(dp), intent(inout) :: tangent(:, :, :)          ! (LANES, 6, 6 or N_SEEDS)
+    real(dp), intent(inout) :: tangent(:, :, :)          ! (LANES, 6, n)
     real(dp), dimension(LANES) :: first, second, volume
     integer :: k
 
+    if (size(tangent, 3) < 6) return
     do k = 1, 6
       first = tangent(:, k, 1)
       second = tangent(:, k, 2)

@@ -14,11 +14,11 @@ SHEAR = np.array([[0.02, 0.1, 0], [0, -0.03, 0.05], [0, 0, 0.01]])
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
-def homogeneous(cell="quadrilateral", degree=1):
-    """A body whose boundary is moved by t times a constant gradient."""
+def homogeneous(cell="quadrilateral", degree=1, gradient=SHEAR):
+    """A body that is moved by t times a constant gradient."""
     d = 2 if cell in ("triangle", "quadrilateral") else 3
     mesh = fem.meshes.box(MPI.COMM_WORLD, [1.0, 2, 1.5][:d], [3, 2, 2][:d], cell)
-    everywhere = fem.Displacement(lambda x: np.full(x.shape[1], True), lambda x, t: t * x @ SHEAR[:d, :d].T)
+    everywhere = fem.Displacement(lambda x: np.full(x.shape[1], True), lambda x, t: t * x @ gradient[:d, :d].T)
     return fem.Problem(mesh, MATERIAL, MATERIAL.isotropic(0.6, pressure=0.01), [everywhere], degree=degree)
 
 
@@ -87,6 +87,12 @@ def test_cell_fields_are_means_by_volume():
     z2 = problem.states.coordination_number.reshape(volumes.shape)
     np.testing.assert_allclose(uneven, (z2 * volumes).sum(axis=1) / volumes.sum(axis=1), rtol=1e-14)
     assert abs(uneven - means).max() > 1e-3
+
+
+def test_dilatancy_is_0_without_shear():
+    problem = homogeneous("hexahedron", gradient=np.eye(3))
+    fem.run(problem, 0.01, 0.01)
+    assert (fem.cell_fields(problem)["dilatancy"] == 0).all()
 
 
 def test_rows_are_in_the_tables_as_soon_as_their_increment_is_accepted(tmp_path):

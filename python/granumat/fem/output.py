@@ -7,10 +7,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from matplotlib.collections import PolyCollection
-from matplotlib.figure import Figure
 from mpi4py import MPI
-from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from .. import driver, tensors
 from .cellwise import CellOrder, on_rank_0
@@ -49,8 +46,8 @@ def cell_fields(problem):
     if problem.last is not None:
         change = mean(tensors.six((problem.last.gradients + problem.last.gradients.transpose(0, 2, 1)) / 2))
     distortion = tensors.modulus(tensors.deviator(change))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        dilatancy = np.where(distortion > 0, tensors.trace(change) / distortion, 0.0)
+    dilatancy = np.divide(tensors.trace(change), distortion, out=np.zeros_like(distortion),
+                          where=distortion > NEAR * abs(tensors.trace(change)))
     direction = np.linalg.eigh(tensors.full(fabric))[1][..., -1]
     first = np.take_along_axis(direction, (abs(direction) > NEAR).argmax(axis=1)[:, None], axis=1)
     direction = np.where(tensors.modulus(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
@@ -348,6 +345,9 @@ def field_figure(polygons, values, label, title=""):
     -------
     matplotlib.figure.Figure
     """
+    from matplotlib.collections import PolyCollection  # here, as few ranks and runs draw
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
     solid = polygons.shape[-1] == 3
     low, high = polygons.min(axis=(0, 1)), polygons.max(axis=(0, 1))
     figure = Figure(figsize=(7, 6), layout="constrained")
