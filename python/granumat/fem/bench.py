@@ -157,23 +157,24 @@ def _run(arguments, ranks=1):
 def print_fem(directory, n=CELLS, sizes=SIZES):
     """Prints the ratios and draws them into directory/fem-cost.png."""
     one = _run([n])
-    elasticity = {kind: _run([n, one["krylov"], kind]) for kind in ("aij", "baij")}
-    pairs = [(_run([n]), _run([n], ranks=2)) for _ in range(3)]
-    two = statistics.median(pair[1]["iteration"] / pair[0]["iteration"] for pair in pairs)
-    growth = [_run([size]) for size in sizes]
     print(f"shear cell of {n**3} hexahedra, {one['unknowns']} unknowns: {one['newton'] / INCREMENTS:.1f} Newton iterations an "
           f"increment, {one['krylov']} Krylov iterations each, {one['iteration']:.2f} s of one processor a Newton iteration:")
     for phase in PHASES:
         print(f"  {phase:9} {one[phase] / one['iteration']:6.1%}")
+    elasticity = {kind: _run([n, one["krylov"], kind]) for kind in ("aij", "baij")}
     for kind, seconds in elasticity.items():
         print(f"  {one['iteration'] / seconds:.2f} x an iteration of linear elasticity in UFL into {kind.upper()}, as many Krylov "
               "iterations")
+    two = statistics.median(_run([n], ranks=2)["iteration"] / _run([n])["iteration"] for _ in range(3))
     busy = os.getloadavg()[0] / os.cpu_count()
-    print(f"  2 ranks take {two:.2f} of the time of 1 (median of 3; the processors were asked for {busy:.1f} times over)")
+    print(f"  2 ranks take {two:.2f} of the time of 1 (median of 3; {busy:.1f} processes a processor meanwhile)")
     print(f"{'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12}")
-    for row in growth:
+    growth = []
+    for size in sizes:
+        row = _run([size])
+        growth.append(row)
         print(f"{row['unknowns']:>10} {row['newton'] / INCREMENTS:>8.1f} {row['krylov']:>8} "
-              f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f}")
+              f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f}", flush=True)
     path = Path(directory) / "fem-cost.png"
     path.parent.mkdir(parents=True, exist_ok=True)
     draw(one, elasticity, growth).savefig(path, dpi=110)
