@@ -128,3 +128,12 @@ def test_tangent_is_the_same_in_any_batch_and_thread(rng, material):
         assert material.update_with_tangent(states[i], gradient[i], spin=True)[1].tobytes() == tangent[i].tobytes()
     assert material.update_with_tangent(states, gradient, spin=True, threads=2)[1].tobytes() == tangent.tobytes()
     np.testing.assert_allclose(material.update_with_tangent(states, gradient)[1], tangent[:, :, :6], rtol=1e-14, atol=1e-16)
+
+
+def test_tangent_of_plane_strain_is_the_part_of_the_whole_one_that_it_needs(rng, material):
+    states, gradient = random_states(rng, material, 101, 0.05)
+    _, tangent = material.update_with_tangent(states, gradient, spin=True)
+    for spin, columns in ((True, [0, 1, 3, 6]), (False, [0, 1, 3])):
+        _, plane = material.update_with_tangent(states, gradient, spin=spin, plane=True)
+        assert plane.shape == (101, 6, len(columns))
+        np.testing.assert_allclose(plane, tangent[:, :, columns], rtol=1e-9, atol=1e-9 * abs(tangent).max())
