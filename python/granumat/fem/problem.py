@@ -427,7 +427,8 @@ class Problem:
         chosen = held[self._nodes]
         forces = self.last.forces[chosen]
         x = self._at_cells(self.positions + self.displacement)[chosen] - (0 if center is None else np.asarray(center, float))
-        return self.comm.allreduce(forces.sum(axis=0)), self.comm.allreduce(np.cross(x, forces).sum(axis=0))
+        moments = np.cross(x, forces) if self.d == 3 else x[..., 0] * forces[..., 1] - x[..., 1] * forces[..., 0]
+        return self.comm.allreduce(forces.sum(axis=0)), self.comm.allreduce(moments.sum(axis=0))
 
 
 def _normals(tangents):
