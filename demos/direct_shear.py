@@ -22,7 +22,7 @@ ONWARD = 0.8                           # shear strain in one direction after the
 LENGTH = 3                             # of the box, whose height is 1
 LIQUEFIED = 0.025 * PRESSURE            # mean pressure from where a box with smooth ends, loose in part, is not followed further
 RANK = MPI.COMM_WORLD.rank
-SHORT = {"cells": 2, "increments": 12, "cycles": 3}
+SHORT = {"cells": 2, "increments": 12, "cycles": 2}
 
 
 def mean_pressure(problem):

@@ -114,7 +114,8 @@ def picture(data):
     figure = Figure(figsize=(10, 3), layout="constrained")
     axes = figure.subplots(1, 3)
     increments = len(data["height"]) - 1
-    gamma = SHEAR / increments * np.abs(np.arange(len(data["point"])) - np.clip(np.arange(len(data["point"])) - increments, 0, 1))
+    row = np.arange(len(data["point"]))
+    gamma = SHEAR / increments * (row - np.clip(row - increments, 0, 1))            # a pause strains nothing
     for i, label in enumerate(("pressure $p\\,d/k$", "stress ratio")):
         axes[i].plot(gamma, data["point"][:, i], label="point")
         axes[i].plot(gamma, data["at_volume"][:, i], "k.", markersize=4, label="finite elements")

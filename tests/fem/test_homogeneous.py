@@ -69,3 +69,17 @@ def test_a_body_without_stress_can_be_moved_until_it_jams():
         pressures.append(-state.stress[:3].sum() / 3)
         assert np.allclose(problem.states.stress, state.stress, rtol=0, atol=1e-9)
     assert pressures[0] == 0 and pressures[-1] > 1e-3
+
+
+def test_on_two_ranks_too(mpirun):
+    script = f"""
+import sys
+sys.path.insert(0, {str(Path(homogeneous_shear.__file__).parent)!r})
+from mpi4py import MPI
+import homogeneous_shear
+for cell, degree in {KINDS!r}:
+    data = homogeneous_shear.main(**homogeneous_shear.SHORT, cell=cell, degree=degree)
+    if not data["difference"].max() < 1e-9 or MPI.COMM_WORLD.size != 2:
+        MPI.COMM_WORLD.Abort(1)
+"""
+    assert mpirun(script, 2).count("largest difference") == len(KINDS)
