@@ -23,6 +23,7 @@ from matplotlib.figure import Figure
 from mpi4py import MPI
 
 from .. import _core
+from ..errors import GranumatError
 from ..material import STATE, Material
 from .conditions import Displacement, Periodic
 from .meshes import box
@@ -150,7 +151,9 @@ def _run(arguments, ranks=1):
                                 "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     command = [sys.executable, "-m", "granumat.fem.bench", *map(str, arguments)]
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
-    result = subprocess.run(launcher + command, env=environment, capture_output=True, text=True, check=True)
+    result = subprocess.run(launcher + command, env=environment, capture_output=True, text=True)
+    if result.returncode:
+        raise GranumatError(f"{' '.join(command)}:\n{result.stderr}")
     return json.loads(result.stdout.splitlines()[-1])
 
 
