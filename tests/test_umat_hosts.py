@@ -205,7 +205,7 @@ def failures():
         "initial phi 1.2": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 5, 1.2)},
         "initial pressure below 0": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 6, -1.0)},
         "a pressure for the critical closure": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 2, 0.0)},
-        "spin 4": {"props": changed(PROPS, 7, 4.0)},
+        "spin 5": {"props": changed(PROPS, 7, 5.0)},
         "calibration 3": {"props": changed(PROPS, 8, 3.0)},
         "DROT no rotation": {"props": changed(PROPS, 7, 1.0), "drot": 1.1 * EYE},
         "DROT a reflection": {"props": changed(PROPS, 7, 1.0), "drot": np.diag([1.0, 1, -1])},

@@ -35,6 +35,7 @@ class Oracle:
         self.x = moved[self.problem._nodes]
         self.element = self.problem._element
         self.mean = self.problem._mean
+        self.columns = [0, 1, 3, 6] if d == 2 else list(range(9))            # of the strains and spins there are
         _, self.volumes, status = _core.core_element_gradients(
             self.mean, self.element.gradients, self.element.weights, self.x, np.zeros_like(self.x))
         assert not status.any()
@@ -79,10 +80,10 @@ class Oracle:
 
     def stiffness(self, stress, tangent):
         """The kernels' element matrices, summed over the cells."""
-        points = self.volumes.shape
-        matrices = _core.core_element_stiffness(self.mean, self.element.gradients, self.x, self.volumes,
-                                                np.zeros((*points, 3, 3)), stress, tangent)
         dofs, size = self.dofs(), self.problem.positions.size
+        matrices = np.empty((*dofs.shape, dofs.shape[1]))
+        _core.core_element_stiffness(self.mean, self.element.gradients, self.x, self.volumes,
+                                     np.zeros((*self.volumes.shape, 3, 3)), stress, tangent[..., self.columns], matrices)
         total = np.zeros((size, size))
         np.add.at(total, (dofs[:, :, None], dofs[:, None, :]), matrices)
         return total

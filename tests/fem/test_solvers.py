@@ -114,3 +114,10 @@ def test_the_bench_counts_all_time_and_no_part_is_negative():
     assert found["unknowns"] == 3 * 4**3 and found["newton"] >= bench.INCREMENTS
     assert min(found[phase] for phase in bench.PHASES) > 0
     assert abs(sum(found[phase] for phase in bench.PHASES) - found["iteration"]) < 1e-9
+
+
+def test_problems_in_one_process_do_not_fill_the_options_of_petsc():
+    block((2, 2))
+    before = PETSc.Options().getAll()
+    block((2, 2))
+    assert PETSc.Options().getAll() == before

@@ -1,9 +1,9 @@
 """The linear system: element matrices and vectors into PETSc's, by coordinates, and its solution."""
 
 import ctypes
-import itertools
 import re
 import warnings
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,6 @@ from petsc4py import PETSc
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
 _INSERT = 1
 ERROR_IN_LIBRARY = 76              # PETSc's number for what MUMPS makes of some matrices that it cannot factorise
-_numbers = itertools.count()                           # of the systems: prefixes of their options
 DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # The norm is that of the residual itself, from the right: matrices after a reversal or where shear localises are indefinite, and
 # there preconditioned residuals fall while the residual does not. In steady shear nothing hardens: the matrix is nearly singular
@@ -171,9 +170,13 @@ class System:
 
 
 def make_solver(comm, options):
-    """A linear solver with options; they stay in PETSc's database, which parts of the solver read when they are first needed."""
+    """A linear solver with options.
+
+    They stay in PETSc's database, which parts of the solver read when they are first needed, under a prefix that all solvers with
+    the same options share: the database is small.
+    """
     solver = PETSc.KSP().create(comm)
-    solver.setOptionsPrefix(f"granumat_{next(_numbers)}_")
+    solver.setOptionsPrefix(f"granumat_{zlib.crc32(repr(sorted(options.items())).encode()):08x}_")
     database = PETSc.Options(solver.getOptionsPrefix())
     for name, value in options.items():
         database[name] = value
