@@ -6,7 +6,7 @@ export PATH=/usr/sbin:/usr/bin:/sbin:/bin  # Debian's own tools, whatever else i
 
 packages="gfortran gcc libc6-dev cmake ninja-build python3 python3-dev
   python3-numpy python3-scipy python3-matplotlib python3-pytest
-  python3-dolfinx libopenblas0"
+  python3-dolfinx libopenblas0 openssh-client"  # the last: Open MPI looks for ssh even on one machine
 missing=
 for package in $packages; do
   dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null | grep -qx installed || missing="$missing $package"

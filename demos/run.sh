@@ -2,6 +2,7 @@
 # Builds granumat, installs it under /usr/local and draws the figures into results/figures.
 set -eu
 cd "$(dirname "$0")/.."
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 ./build.sh release
 
 sudo=

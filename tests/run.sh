@@ -2,6 +2,7 @@
 # Tests the debug build, then the release build; arguments go to the last pytest.
 set -eu
 cd "$(dirname "$0")/.."
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 ./build.sh release debug
 
 export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
