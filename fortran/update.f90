@@ -23,6 +23,7 @@ module granumat_update
 
   real(dp), parameter :: STEP_RATE = 0.4_dp      ! rate times inner step: 4 Gauss points then err by 1e-13 (tests/test_exact.py)
   real(dp), parameter :: FINER = 1.5_dp          ! with e_r > 0: interpolation in the kernel has half the order of Gauss's rule
+  real(dp), parameter :: NO_FABRIC = 1.0e-12_dp              ! below it A is 0
   real(dp), parameter :: SMALL_FABRIC = 1.0e-5_dp, SMALL_EXCESS = 1.0e-3_dp, SMALL_E = 1.0e-6_dp   ! kinks are stepped over below
   real(dp), parameter :: REFERENCE_STRAIN = 1.0e-4_dp   ! |D| of the tangent at D = 0
   real(dp), parameter :: LARGEST_TRACE = 2.45_dp   ! of D^: sqrt(6)
@@ -292,10 +293,11 @@ contains
     if (par%elastic_strain > 0) then
       rate = FINER * rate
       where (x%e > 0 .or. e_end > 0) rate = max(rate, 4 * abs(volume_rate) / max(x%e, SMALL_E))
-      near_isotropy = 4 * abs(par%c1) * inc%mod_D / max(mod_A, SMALL_FABRIC)
+      near_isotropy = abs(par%c1) * inc%mod_D / max(mod_A, SMALL_FABRIC)
+      where (mod_A < NO_FABRIC) near_isotropy = 0                         ! on the way from A = 0, |A| is smooth
       near_jamming = ((abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess)) * inc%mod_D + abs(par%d3 * inc%tr_D)) &
         / max(abs(x%excess), SMALL_EXCESS)
-      rate = max(rate, STEP_RATE * max(near_isotropy, near_jamming))
+      rate = max(rate, STEP_RATE * max(4 * near_isotropy, 2 * near_jamming))
     end if
   end function graded_rate
 

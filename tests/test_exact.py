@@ -10,7 +10,8 @@ from granumat import STATE, Material, tensors
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
 
 
-def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0, across=False, margin=0.005, **sampling):
+def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0, across=False, isotropic=False,
+           margin=0.005, **sampling):
     """Largest errors of A/kappa, Z2, phi (relative) and stress (over the larger of p and the deviator) of n random updates."""
     rng = np.random.default_rng(seed)
     worst = np.zeros(4)
@@ -23,6 +24,8 @@ def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0
             gradient = gradient + reference.scale((volume_strain - np.trace(gradient, axis1=1, axis2=2)) / 3, np.eye(3))
             phi = c["phic"] * np.exp(rng.random(m) * volume_strain)
         deviator = reference.scale(1e-3 * rng.random(m), fabric / 0.04)
+        if isotropic:
+            fabric = np.zeros_like(fabric)
         a, z, ph, p, dev = reference.integrate(c, fabric, z2, phi, gradient, deviator, contact)
 
         material = Material(mu, closure, contact, elastic_strain=elastic_strain)
@@ -107,3 +110,9 @@ def test_a_stress_that_does_not_relax_turns_with_the_spin():
     turn = np.array([expm(w) for w in spin])
     new = material.update(old, spin + 1e-16 * np.diag([1, -1, 0]))
     np.testing.assert_allclose(new.stress, tensors.six(turn @ stress @ np.swapaxes(turn, 1, 2)), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("shear", [1e-3, 0.02, 0.1])
+@pytest.mark.parametrize("elastic_strain", [1e-2, 1e-3, 1e-4])
+def test_error_stays_below_1e_8_from_an_isotropic_packing(elastic_strain, shear):
+    assert max(errors(8, 100, shear, elastic_strain=elastic_strain, isotropic=True).values()) < 1e-8
