@@ -57,7 +57,10 @@ class Numbering:
                 components = list(range(d) if condition.components is None else condition.components)
                 self.labels[nodes[:, None], components] = GIVEN
                 self._given.append((nodes, components, condition.value))
-        self.labels = self._without_given_groups(comm, conditions, locate)
+        for condition in conditions:
+            if isinstance(condition, Tied) and comm.allreduce(
+                    bool((self.labels[locate(condition.where), condition.component] == GIVEN).any()), MPI.LOR):
+                faults.append(f"Tied: component {condition.component} of its displacement is given at some of its nodes")
         for condition in periodic:
             nodes = locate(condition.where)
             self._follow(comm, nodes, condition.partner(positions[nodes]), index_map.size_local, faults)
@@ -72,16 +75,6 @@ class Numbering:
         if not np.allclose(self.axes[nodes][before], frames[before], atol=1e-9):
             faults.append(f"{name}: some nodes have other axes by another condition")
         self.axes[nodes], self.turned[nodes] = frames, True
-
-    def _without_given_groups(self, comm, conditions, locate):
-        """A tied group of which one component is given is given as a whole."""
-        labels = self.labels.copy()
-        for condition in conditions:
-            if isinstance(condition, Tied):
-                group = self.labels[locate(condition.where), condition.component]
-                if comm.allreduce(bool((group == GIVEN).any()), MPI.LOR):
-                    labels[locate(condition.where), condition.component] = GIVEN
-        return labels
 
     def _follow(self, comm, nodes, wanted, owned, faults):
         """The labels of the nodes at the wanted positions, wherever they are owned, become those of the nodes."""
@@ -99,7 +92,9 @@ class Numbering:
         if (mine == -2).any():
             missing = wanted[(mine == -2).any(axis=1)][0]
             faults.append(f"Periodic: there is no node at {in_words(missing)}, a partner's position")
-        self.labels[nodes] = np.where(self.labels[nodes] == GIVEN, GIVEN, mine)
+        if ((self.labels[nodes] == GIVEN) & (mine >= 0)).any():
+            faults.append("Periodic: a displacement is given on the part, but not on its partner")
+        self.labels[nodes] = mine
 
     def given(self, t):
         """Prescribed total displacements (nodes, d) along the nodes' axes at t, 0 where free."""

@@ -21,6 +21,7 @@ LARGEST_CUT = 1 / 16                       # of a correction, by the line search
 ROUND_OFF = 1e-12                          # of displacements, relative to what they add to
 REST = 1e-5                                # k/d: stress that residuals are relative to where there is none
 LOOSE = 1e-6                               # k/d: stiffness of points without pressure, in Newton's matrix only
+SURE = 1e-3                                # part of the tolerance of forces that leaves nothing to correct
 SUFFICIENT = 1e-4                          # part of the expected decrease that a correction must bring
 
 
@@ -279,6 +280,9 @@ class Problem:
             if trial.failure:
                 return trial
             missing = np.where(self._given, target - self._numbering.to_axes(trial.u), 0)
+            if max(residuals) <= SURE * self.tolerances.force and self._largest(missing) <= ROUND_OFF * self._size:
+                trial.residuals = residuals
+                return trial
             correction = self._correction(trial, missing, duration)
             if correction is None:
                 trial.failure = "the linear solver does not converge"
