@@ -27,7 +27,7 @@ class WithoutSpin(Material):
 
     def update_with_tangent(self, states, gradient, **options):
         states, tangent = super().update_with_tangent(states, (gradient + gradient.transpose(0, 2, 1)) / 2, **options)
-        tangent[..., 6:] = 0
+        tangent[..., 3:] = 0                                        # of plane strain: by xx yy xy, and by the spin
         return states, tangent
 
 
