@@ -108,7 +108,7 @@ def test_decks_name_the_constants_in_the_order_of_the_code(deck):
 
 @pytest.mark.parametrize("demo, program", [("fortran", "shear"), ("c", "points")])
 def test_the_demo_links_to_an_installation_by_find_package_and_agrees_with_python(prefix, tmp_path, demo, program):
-    run("cmake", "-S", LINKING / demo, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={prefix}")
+    run("cmake", "-G", "Ninja", "-S", LINKING / demo, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={prefix}")
     run("cmake", "--build", tmp_path)
     check_output(demo, run(tmp_path / program))
 

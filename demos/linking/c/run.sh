@@ -5,6 +5,6 @@ cd "$(dirname "$0")"
 root=$PWD/../../..
 "$root/build.sh" >/dev/null
 cmake --install "$root/build/release" --prefix "$root/build/prefix" >/dev/null
-cmake -S . -B "$root/build/linking-c" -DCMAKE_PREFIX_PATH="$root/build/prefix" -DCMAKE_BUILD_TYPE=Release >/dev/null
+cmake -G Ninja -S . -B "$root/build/linking-c" -DCMAKE_PREFIX_PATH="$root/build/prefix" -DCMAKE_BUILD_TYPE=Release >/dev/null
 cmake --build "$root/build/linking-c" >/dev/null
 "$root/build/linking-c/points"
