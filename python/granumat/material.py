@@ -245,10 +245,14 @@ class Material:
             if not is_number(pressure) or not 0 <= pressure < np.inf:
                 faults.append(f"pressure = {pressure!r}: must be a finite number, at least 0")
             else:
-                hookean = pressure ** (2 / 3) if self.contact == "hertzian" else pressure
-                coordination_number = self["Zc"] + float(np.sqrt(hookean / self["a1"]))     # (4.2), (4.4)
+                coordination_number = float(self.coordination_number(pressure))
         refuse("the isotropic state cannot be made", faults)
         return self.state(volume_fraction, coordination_number)
+
+    def coordination_number(self, pressure):
+        """Z2 (...) of isotropic packings that bear pressures (...), at least 0: (4.2), (4.4)."""
+        hookean = pressure ** (2 / 3) if self.contact == "hertzian" else pressure
+        return self["Zc"] + np.sqrt(hookean / self["a1"])
 
     @property
     def steady_strain(self):

@@ -51,11 +51,7 @@ def read_path_file(path):
         Names everything that is wrong with it at once.
     """
     path = Path(path)
-    with open(path, "rb") as file:
-        try:
-            content = tomllib.load(file)
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a TOML file: {error}") from None
+    content = read_toml(path)
     faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance, output"
               for name in content if name not in ("material", "initial", "step", "tolerance", "output")]
     material = attempt(faults, "", read_material, content)
@@ -77,6 +73,15 @@ def read_path_file(path):
         faults.append(f"[output]: acoustic = {acoustic!r}: must be true or false")
     refuse(f"{path} cannot be run", faults)
     return PathFile(material, state, steps, tolerance, acoustic)
+
+
+def read_toml(path):
+    """What a TOML file says; ValueError where it is none."""
+    with open(path, "rb") as file:
+        try:
+            return tomllib.load(file)
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path}: not a TOML file: {error}") from None
 
 
 def attempt(faults, prefix, function, *arguments):

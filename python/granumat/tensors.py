@@ -12,6 +12,12 @@ def six(tensor):
     return np.asarray(tensor)[..., ROWS, COLUMNS]
 
 
+def symmetric(tensor):
+    """Components (..., 6) of the symmetric parts of tensors (..., 3, 3)."""
+    tensor = np.asarray(tensor)
+    return six((tensor + np.swapaxes(tensor, -1, -2)) / 2)
+
+
 def full(components):
     """Symmetric tensors (..., 3, 3) of components (..., 6)."""
     components = np.asarray(components)

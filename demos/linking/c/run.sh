@@ -1,10 +1,3 @@
 #!/bin/sh
-# Builds and installs granumat below build/, then builds and runs this program with find_package(granumat).
-set -eu
-cd "$(dirname "$0")"
-root=$PWD/../../..
-"$root/build.sh" >/dev/null
-cmake --install "$root/build/release" --prefix "$root/build/prefix" >/dev/null
-cmake -G Ninja -S . -B "$root/build/linking-c" -DCMAKE_PREFIX_PATH="$root/build/prefix" -DCMAKE_BUILD_TYPE=Release >/dev/null
-cmake --build "$root/build/linking-c" >/dev/null
-"$root/build/linking-c/points"
+# Builds and runs points with an installation of granumat.
+exec "$(dirname "$0")/../run.sh" c points

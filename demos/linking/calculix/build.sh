@@ -5,7 +5,8 @@
 set -eu
 cd "$(dirname "$0")/../../.."
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin  # Debian's own tools, whatever else is on PATH
-place=$PWD/build/calculix
+root=$PWD
+place=$root/build/calculix
 [ ! -x "$place/ccx" ] || exit 0
 
 # The mirror that apt has, in an apt configuration of its own.
@@ -24,18 +25,7 @@ apt() {
 echo "Downloading CalculiX's source and SPOOLES of Debian 12 from $mirror"
 { apt update && apt source --download-only calculix-ccx && apt download libspooles-dev; } || exit 69
 
-packages="dpkg-dev debhelper gfortran libarpack2-dev liblapack-dev"
-missing=
-for package in $packages; do
-  dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null | grep -qx installed || missing="$missing $package"
-done
-if [ -n "$missing" ]; then
-  sudo=
-  [ "$(id -u)" = 0 ] || sudo=sudo
-  echo "Installing Debian packages${sudo:+ with sudo}:$missing"
-  $sudo apt-get -qq update
-  $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends install $missing >/dev/null
-fi
+"$root/install-packages.sh" dpkg-dev debhelper gfortran libarpack2-dev liblapack-dev
 
 # Static, so that what is linked from it needs no MPI; where the compiler and the linker look.
 dpkg --extract libspooles-dev_*.deb spooles

@@ -7,7 +7,6 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
-from mpi4py import MPI
 
 from ..material import refuse
 from .cellwise import CellOrder, on_rank_0
@@ -107,7 +106,6 @@ def resume(path, problem, outputs=()):
     order, comm = CellOrder(problem.mesh), problem.comm
     fingerprint = _fingerprint(problem)
     places = order.gather(problem.positions[problem._nodes])
-    size = comm.allreduce(np.abs(problem.positions).max(initial=0.0), MPI.MAX)
     arrays = {}
 
     def read():
@@ -120,7 +118,7 @@ def resume(path, problem, outputs=()):
         before = description["fingerprint"]
         faults = [f"{name}: {before.get(name)!r} in the checkpoint, {fingerprint.get(name)!r} here"
                   for name in sorted(before | fingerprint) if before.get(name) != fingerprint.get(name)]
-        if there.shape == places.shape and abs(there - places).max() > NEAR * size:
+        if there.shape == places.shape and abs(there - places).max() > NEAR * problem._size:
             faults.append(f"positions of the nodes: up to {abs(there - places).max():.3g} apart")
         refuse(f"{path} belongs to another problem", faults)
         return description, list(arrays)

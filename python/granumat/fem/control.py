@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 
+from .. import tensors
 from ..material import refuse
 from .errors import SolveError, in_words
 
@@ -78,7 +79,7 @@ def run(problem, until, increment, *, smallest=None, events=(), observers=(), pr
 def diagnosis(problem):
     """What about the last accepted state can explain a failure, in words; the same on all ranks."""
     states = problem.states
-    pressure = -states.stress[:, :3].sum(axis=1) / 3
+    pressure = -tensors.trace(states.stress) / 3
     eta_t = problem.material.transverse_modulus(states)
     words = []
     for count, value, name in ((pressure <= 0, pressure, "are unjammed (p = 0)"),

@@ -25,7 +25,7 @@ class Numbering:
         Where the axes are not x y (z).
     """
 
-    def __init__(self, space, positions, locate, conditions):
+    def __init__(self, space, positions, size, locate, conditions):
         comm = space.mesh.comm
         index_map = space.dofmap.index_map
         count, d = positions.shape
@@ -63,7 +63,7 @@ class Numbering:
                 faults.append(f"Tied: component {condition.component} of its displacement is given at some of its nodes")
         for condition in periodic:
             nodes = locate(condition.where)
-            self._follow(comm, nodes, condition.partner(positions[nodes]), index_map.size_local, faults)
+            self._follow(comm, nodes, condition.partner(positions[nodes]), index_map.size_local, NEAR * size, faults)
         faults = sorted(set().union(*comm.allgather(faults)))
         refuse("the conditions do not fit the mesh", faults)
 
@@ -76,16 +76,15 @@ class Numbering:
             faults.append(f"{name}: some nodes have other axes by another condition")
         self.axes[nodes], self.turned[nodes] = frames, True
 
-    def _follow(self, comm, nodes, wanted, owned, faults):
+    def _follow(self, comm, nodes, wanted, owned, near, faults):
         """The labels of the nodes at the wanted positions, wherever they are owned, become those of the nodes."""
         everywhere = comm.allgather(wanted)
         everything = np.concatenate(everywhere)
-        size = comm.allreduce(np.abs(self._positions).max(initial=0.0), MPI.MAX)
         found = np.full((len(everything), self.labels.shape[1]), -2, np.int64)
         if owned and len(everything):
             distance, partner = cKDTree(self._positions[:owned]).query(everything)
-            near = distance < NEAR * size
-            found[near] = self.labels[partner[near]]
+            there = distance < near
+            found[there] = self.labels[partner[there]]
         comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
         start = sum(len(part) for part in everywhere[:comm.rank])
         mine = found[start:start + len(nodes)]

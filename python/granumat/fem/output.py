@@ -44,7 +44,7 @@ def cell_fields(problem):
     stress, fabric = mean(states.stress), mean(states.fabric)
     change = np.zeros((problem.cells, 6))
     if problem.last is not None:
-        change = mean(tensors.six((problem.last.gradients + problem.last.gradients.transpose(0, 2, 1)) / 2))
+        change = mean(tensors.symmetric(problem.last.gradients))
     distortion = tensors.modulus(tensors.deviator(change))
     dilatancy = np.divide(tensors.trace(change), distortion, out=np.zeros_like(distortion),
                           where=distortion > NEAR * abs(tensors.trace(change)))

@@ -159,7 +159,7 @@ class Problem:
         self._nodes = self._all_nodes[:self.cells]
         self.positions = np.ascontiguousarray(self.space.tabulate_dof_coordinates()[:, :d])
         self._size = self._largest(self.positions)
-        self._numbering = Numbering(self.space, self.positions, self.nodes_at, self.conditions)
+        self._numbering = Numbering(self.space, self.positions, self._size, self.nodes_at, self.conditions)
         cell_labels = self._numbering.labels[self._nodes].reshape(self.cells, -1)
         owned = self.space.dofmap.index_map.size_local * d
         self.system = System(self.comm, owned, d, cell_labels, self._numbering.labels, solver or {})
@@ -275,14 +275,13 @@ class Problem:
         trial = self._evaluate(self._guess(target, duration), duration)
         if trial.failure:
             trial = self._evaluate(np.zeros_like(self.displacement), duration)
-        residuals = [trial.residual]
+        residuals = trial.residuals = [trial.residual]
+        if trial.residual <= SURE * self.tolerances.force and self._largest(self._missing(target, trial)) <= ROUND_OFF * self._size:
+            return trial
         for _ in range(self.tolerances.iterations):
             if trial.failure:
                 return trial
-            missing = np.where(self._given, target - self._numbering.to_axes(trial.u), 0)
-            if max(residuals) <= SURE * self.tolerances.force and self._largest(missing) <= ROUND_OFF * self._size:
-                trial.residuals = residuals
-                return trial
+            missing = self._missing(target, trial)
             correction = self._correction(trial, missing, duration)
             if correction is None:
                 trial.failure = "the linear solver does not converge"
@@ -307,7 +306,7 @@ class Problem:
         self.t, self.increments, self.last = trial.t, self.increments + 1, trial
         self.displacement = self.displacement + trial.u
         self.states = trial.states
-        strain = tensors.six((trial.gradients + trial.gradients.transpose(0, 2, 1)) / 2)
+        strain = tensors.symmetric(trial.gradients)
         self.shear_strain = self.shear_strain + 2 * tensors.modulus(tensors.deviator(strain))
         self.volume_strain = self.volume_strain + tensors.trace(strain)
 
@@ -319,6 +318,10 @@ class Problem:
         owned = self.space.dofmap.index_map.size_local
         product, square = self.comm.allreduce(np.array([(target * before)[:owned].sum(), (before**2)[:owned].sum()]))
         return self.last.u * (product / square if square > 0 else duration / self._last_duration)
+
+    def _missing(self, target, trial):
+        """What the trial's displacements (nodes, d) along the nodes' axes lack of the given ones."""
+        return np.where(self._given, target - self._numbering.to_axes(trial.u), 0)
 
     def _kinematics(self, x, u):
         return _core.core_element_gradients(self._mean, self._element.gradients, self._element.weights, x, u)
@@ -355,7 +358,7 @@ class Problem:
         """The material's stress and that of the rate term."""
         if self.rate_term == 0:
             return np.ascontiguousarray(stress)
-        shear = tensors.deviator(tensors.six((gradients + gradients.transpose(0, 2, 1)) / 2))
+        shear = tensors.deviator(tensors.symmetric(gradients))
         return stress - self.rate_term / duration * tensors.trace(stress)[:, None] / 3 * shear
 
     def _tangent(self, trial, duration):
@@ -370,7 +373,7 @@ class Problem:
         if self.rate_term > 0:
             factor = self.rate_term / duration
             pressure = -tensors.trace(trial.states.stress) / 3
-            shear = tensors.deviator(tensors.six((trial.gradients + trial.gradients.transpose(0, 2, 1)) / 2))
+            shear = tensors.deviator(tensors.symmetric(trial.gradients))
             slope = -tangent[:, :3].sum(axis=1) / 3
             by_strain = strain - np.outer(tensors.IDENTITY, strain[:3].sum(axis=0)) / 3
             tangent += factor * pressure[:, None, None] * by_strain

@@ -1,6 +1,5 @@
 """Scene files: a boundary-value problem on a standard geometry or a gmsh mesh, as TOML."""
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,7 +8,7 @@ from mpi4py import MPI
 
 from .. import tensors
 from ..material import STATE, Material, is_number, refuse
-from ..paths import INITIAL, attempt, read_initial, read_material, table_of
+from ..paths import INITIAL, attempt, read_initial, read_material, read_toml, table_of
 from . import meshes
 from ._compat import gmsh_mesh
 from .cellwise import on_rank_0
@@ -68,11 +67,7 @@ def read_scene(path):
         Names everything that is wrong with it at once.
     """
     path = Path(path)
-    with open(path, "rb") as file:
-        try:
-            content = tomllib.load(file)
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a TOML file: {error}") from None
+    content = read_toml(path)
     faults = [f"unknown table or key {name!r}: allowed are {', '.join(TABLES)}" for name in content if name not in TABLES]
     material = attempt(faults, "", read_material, content)
     mesh = attempt(faults, "[mesh]: ", _mesh, content, path.parent) or {}
@@ -234,9 +229,7 @@ def resting(material, volume_fraction, weight, top, pressure=0.0, k0=1.0):
         axis = x.shape[1] - 1
         states.stress[:, :3] = -k0 * vertical[:, None]
         states.stress[:, axis] = -vertical
-        p = -tensors.trace(states.stress) / 3
-        hookean = p ** (2 / 3) if material.contact == "hertzian" else p
-        states.coordination_number = material["Zc"] + np.sqrt(hookean / material["a1"])            # (4.2), (4.4)
+        states.coordination_number = material.coordination_number(-tensors.trace(states.stress) / 3)
         states.volume_fraction = volume_fraction
         return states
     return state
