@@ -1,5 +1,8 @@
 """The annular shear cell that annulus.py and where_it_fails.py turn: its walls and conditions, and what is measured on it."""
 
+import csv
+from pathlib import Path
+
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
@@ -137,3 +140,13 @@ def draw(runs, exact, found, turn, paths):
         for axes in panels[1, 1:]:
             axes.minorticks_off()
     return figure
+
+
+def save(out, name, columns, rows, figure):
+    """Writes rows as a table and a figure into the directory `out`."""
+    Path(out).mkdir(parents=True, exist_ok=True)
+    with open(Path(out) / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
+        table = csv.DictWriter(file, columns)
+        table.writeheader()
+        table.writerows(rows)
+    figure.savefig(Path(out) / f"{name}.png", dpi=75)

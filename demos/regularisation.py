@@ -6,13 +6,11 @@
 # is per radian that the wall turns; as the gap is as wide as the inner radius, that is the mean shear rate over the gap.
 
 # %%
-import csv
 import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
-from annular_cell import Watch, ring, sheared_zone
+from annular_cell import Watch, ring, save, sheared_zone
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
@@ -54,12 +52,7 @@ def main(meshes=MESHES, elastic_strains=ELASTIC_STRAINS, rate_terms=RATE_TERMS, 
         if MPI.COMM_WORLD.rank == 0:
             print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
     if out and MPI.COMM_WORLD.rank == 0:
-        Path(out).mkdir(parents=True, exist_ok=True)
-        with open(Path(out) / "regularisation.csv", "w", newline="", encoding="utf-8") as file:
-            table = csv.DictWriter(file, COLUMNS)
-            table.writeheader()
-            table.writerows(rows)
-        draw(rows, paths).savefig(Path(out) / "regularisation.png", dpi=75)
+        save(out, "regularisation", COLUMNS, rows, draw(rows, paths))
     found = {(row["elastic_strain"], row["rate_term"], row["rings"]): row["width"] for row in rows}
     for elastic_strain in elastic_strains:              # only a rate term gives the zone a width of its own
         coarse, fine = ({alpha: found[elastic_strain, alpha, rings] for alpha in rate_terms} for rings in meshes[-2:])

@@ -6,13 +6,11 @@
 # modulus eta_t (`granumat wellposed`) of the points says what to expect. `WHERE_IT_FAILS.md` reads the map.
 
 # %%
-import csv
 import sys
 from itertools import product
-from pathlib import Path
 
 import numpy as np
-from annular_cell import PRESSURE, Watch, ring
+from annular_cell import PRESSURE, Watch, ring, save
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
@@ -63,12 +61,7 @@ def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMEN
     for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, pair[0]["reached"], -pair[0]["increment"])):
         moduli[row["closure"]] = path
     if out and MPI.COMM_WORLD.rank == 0:
-        Path(out).mkdir(parents=True, exist_ok=True)
-        with open(Path(out) / "where_it_fails.csv", "w", newline="", encoding="utf-8") as file:
-            table = csv.DictWriter(file, COLUMNS)
-            table.writeheader()
-            table.writerows(rows)
-        draw(rows, moduli).savefig(Path(out) / "where_it_fails.png", dpi=75)
+        save(out, "where_it_fails", COLUMNS, rows, draw(rows, moduli))
     for row in rows:                                            # the default closure never gives up at e_r = 0.01
         assert row["closure"] not in ("full", "kinematic") or row["elastic_strain"] != 0.01 or row["cut_to"] > 0.999
     return rows
