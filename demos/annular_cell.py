@@ -109,7 +109,8 @@ def draw(runs, exact, found, turn, paths):
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     panels = figure.subplots(2, 3)
     colours = {"load": "#0072B2", "volume": "#D55E00"}
-    labels = {"torque": "torque", "pressure": "pressure, first ring", "phi": r"$\phi$, first ring"}
+    labels = {"torque": "torque per height, inner radius 1 [k/d]", "pressure": "pressure, first ring [k/d]",
+              "phi": r"$\phi$, first ring"}
     for axes, (name, label) in zip(panels.flat, labels.items()):
         for wall, (columns, _, _) in runs.items():
             axes.plot(columns["path"], columns[name], color=colours[wall], label=f"constant {wall}")
