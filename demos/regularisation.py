@@ -70,11 +70,12 @@ def draw(rows, paths):
             if alpha == rate_term:
                 axes.plot(columns["path"], columns["torque"], "-" if elastic_strain == max(ELASTIC_STRAINS) else ":",
                           color=colours[rings], label=f"{rings} rings, $e_r$ = {elastic_strain:g}")
-        axes.set(title=rf"rate term $\alpha$ = {rate_term:g}", xlabel="path of the inner wall [rad]", ylabel="torque",
+        axes.set(title=rf"rate term $\alpha$ = {rate_term:g}", xlabel="path of the inner wall [rad]", ylabel="torque per height [k/d]",
                  ylim=(-0.03, 0.038))
     panels[0, 0].legend(frameon=False, fontsize=7.5)
-    for axes, (name, label) in zip(panels[1], {"width": "width of the sheared zone", "torque": "torque at the reversal",
-                                               "pressure": "pressure, first ring, at the reversal"}.items()):
+    labels = {"width": "width of the sheared zone", "torque": "torque at the reversal [k/d]",
+              "pressure": "pressure, first ring, at the reversal [k/d]"}
+    for axes, (name, label) in zip(panels[1], labels.items()):
         for rate_term, marker in zip(RATE_TERMS, "osd"):
             for elastic_strain, line in zip(ELASTIC_STRAINS, (":", "-")):
                 values = [row[name] for row in rows if (row["elastic_strain"], row["rate_term"]) == (elastic_strain, rate_term)]
@@ -82,7 +83,7 @@ def draw(rows, paths):
                           label=rf"$\alpha$ = {rate_term:g}, $e_r$ = {elastic_strain:g}")
         axes.set(xlabel="rings of cells", ylabel=label, xscale="log", xticks=MESHES, xticklabels=MESHES)
         axes.minorticks_off()
-    panels[1, 0].set(yscale="log", ylim=(0.01, 0.6))
+    panels[1, 0].set(yscale="log", ylim=(0.005, 0.6))
     panels[1, 0].legend(frameon=False, fontsize=7.5, ncols=2, loc="lower left")
     return figure
 

@@ -86,13 +86,13 @@ def picture(data):
     axes = figure.subplots(1, 3)
     axes[0].plot(data["t"], data["torque"], label="ring")
     axes[0].plot(data["t"], data["narrow"], "k:", label="narrow ring: points")
-    axes[0].set(xlabel="turn (rad)", ylabel="torque")
+    axes[0].set(xlabel="turn [rad]", ylabel="torque [k/d]")
     axes[0].legend(frameon=False)
     axes[1].plot(data["t"], data["settlement"] / HEIGHT)
-    axes[1].set(xlabel="turn (rad)", ylabel="settlement of the lid over height")
+    axes[1].set(xlabel="turn [rad]", ylabel="settlement of the lid over height")
     layers = len(data["shear_strain"])
     axes[2].plot(data["shear_strain"], (np.arange(layers) + 0.5) / layers, ".-")
-    axes[2].set(xlabel="shear strain", ylabel="height", xlim=(0, None))
+    axes[2].set(xlabel="shear strain", ylabel="height over that of the ring", xlim=(0, 1.15 * max(data["shear_strain"])))
     return figure
 
 
