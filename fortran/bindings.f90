@@ -146,15 +146,15 @@ contains
     call update_batch(par, old, gradient, threads, new, status)
   end subroutine core_update
 
-  !> With the tangent: seeds 6 for the strain, 9 for strain and spin; in plane strain 3 and 4.
-  subroutine core_tangent(n, threads, seeds, par, old, gradient, new, status, tangent) bind(c)
-    integer(c_int), value, intent(in) :: n, threads, seeds
+  !> With the tangent: columns 6 for the strain, 9 for strain and spin; in plane strain 3 and 4.
+  subroutine core_tangent(n, threads, columns, par, old, gradient, new, status, tangent) bind(c)
+    integer(c_int), value, intent(in) :: n, threads, columns
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: old(n)
     real(c_double), intent(in) :: gradient(3, 3, n)
     type(material_state), intent(out) :: new(n)
     integer(c_int), intent(out) :: status(n)
-    real(c_double), intent(out) :: tangent(seeds, 6, n)
+    real(c_double), intent(out) :: tangent(columns, 6, n)
     call update_batch(par, old, gradient, threads, new, status, tangent)
   end subroutine core_tangent
 

@@ -13,7 +13,7 @@
 !> Gradients have three axes in the plane too, where the derivatives along the third are 0.
 module granumat_element
   use granumat_kinds, only: dp
-  use granumat_tangent, only: PLANE_SEEDS
+  use granumat_tangent, only: PLANE_COLUMNS
   use granumat_tensors, only: LANES
   implicit none (type, external)
   private
@@ -129,7 +129,7 @@ contains
     real(dp), intent(in) :: L(:, :, :, :)                 ! (3, 3, points, cells): (j, i) = du_i/dx_j
     real(dp), intent(in) :: stress(:, :, :)               ! (6, points, cells)
     real(dp), intent(in) :: tangent(:, :, :, :)           ! (9, 6, points, cells): (j, i) = d stress_i / d (strain_j, spin_j);
-                                                          ! (4, 6, points, cells) of PLANE_SEEDS in the plane
+                                                          ! (4, 6, points, cells) of PLANE_COLUMNS in the plane
     logical, intent(in) :: mean_dilatation
     real(dp), intent(out) :: K(:, :, :)                   ! (d nodes, d nodes, cells), transposed: (column, row)
     real(dp) :: x(LANES, size(x_new, 1), size(x_new, 2)), spatial(LANES, 3, size(x_new, 2)), matrix(LANES, size(K, 1), size(K, 2))
@@ -246,7 +246,7 @@ contains
     do i = 1, 6
       do lane = 1, LANES
         if (d == 2) then
-          by_strain_and_spin(lane, PLANE_SEEDS) = tangent(:, i, q, cell(lane))
+          by_strain_and_spin(lane, PLANE_COLUMNS) = tangent(:, i, q, cell(lane))
         else
           by_strain_and_spin(lane, :) = tangent(:, i, q, cell(lane))
         end if

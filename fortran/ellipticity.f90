@@ -14,8 +14,8 @@ module granumat_ellipticity
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
-  use granumat_stress, only: evaluate, friction, pressure_change, pressure_slopes, change_stress_deviator, stress_deviator
-  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, times, trace
+  use granumat_stress, only: evaluate, friction, pressure_change, pressure_slopes, deviator_slopes, stress_deviator
+  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, six, times, trace
   implicit none (type, external)
   private
   public :: transverse_modulus, response_of, least_over_normals
@@ -51,9 +51,10 @@ contains
   pure function transverse_modulus(par, x) result(eta_t)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: x
-    real(dp) :: eta_t(LANES), S_hat(LANES, 6)
+    real(dp) :: eta_t(LANES), S_hat(LANES, 5), A(LANES, 5)
     S_hat = deviator(x%direction)
-    eta_t = friction(par, x%fabric, S_hat) + par%a4 * contract(x%fabric, S_hat) / 2
+    A = deviator(x%fabric)
+    eta_t = friction(par, A, S_hat) + par%a4 * contract(A, S_hat) / 2
   end function transverse_modulus
 
   !> The response of states. NaN where there is none: before any strain, and for e_r > 0 where p = 0.
@@ -71,8 +72,8 @@ contains
     p = -trace(model%stress) / 3
     law%isochoric = .not. par%elastic_strain > 0
     law%carried = 0
-    if (.not. law%isochoric) law%carried = times(1 / max(p, tiny(p)), deviator(x%stress))
-    undefined = .not. modulus(x%direction) > 0 .or. (.not. law%isochoric .and. .not. p > 0)
+    if (.not. law%isochoric) law%carried = six(times(1 / max(p, tiny(p)), deviator(x%stress)))
+    undefined = .not. sum(abs(x%direction), 2) > 0 .or. (.not. law%isochoric .and. .not. p > 0)
     do k = 1, 6
       E = 0
       E(:, k) = merge(1.0_dp, 0.5_dp, k <= 3)
@@ -87,28 +88,38 @@ contains
   pure function change(par, model, dev, E) result(d_stress)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: model            ! with the model's stress
-    real(dp), intent(in) :: dev(LANES, 6)            ! the state's deviatoric stress
+    real(dp), intent(in) :: dev(LANES, 5)            ! the state's deviatoric stress
     real(dp), intent(in) :: E(LANES, 6)
-    real(dp) :: d_stress(LANES, 6), d_direction(LANES, 6), d_A(LANES, 6), S_hat(LANES, 6)
-    real(dp), dimension(LANES) :: p, d_p, d_mod, none
+    real(dp) :: d_stress(LANES, 6), d_direction(LANES, 6)
+    real(dp), dimension(LANES, 5) :: A, S_hat, d_A, d_S_hat, d_dev
+    real(dp), dimension(LANES, 5, 5) :: by_A, by_S_hat
+    real(dp), dimension(LANES) :: p, d_p, d_mod, one
     type(pressure_change) :: by
+    integer :: k
 
     p = -trace(model%stress) / 3
-    none = 0
-    d_mod = contract(model%direction, E) / 2         ! of |D|
-    d_direction = E - times(d_mod, model%direction)
-    d_A = 0
-    if (par%closure == CRITICAL) d_A = par%lambda * deviator(d_direction)
-    by = pressure_slopes(par, model%fabric, model%direction, model%coordination_number - par%Zc)
-    d_p = by%trace * trace(d_direction) / max(p, tiny(p))
+    one = 1
+    d_mod = (sum(model%direction(:, :3) * E(:, :3), 2) + 2 * sum(model%direction(:, 4:) * E(:, 4:), 2)) / 2         ! of |D|
+    do k = 1, 6
+      d_direction(:, k) = E(:, k) - d_mod * model%direction(:, k)
+    end do
+    A = deviator(model%fabric)
     S_hat = deviator(model%direction)
-    call change_stress_deviator(par, model%fabric, S_hat, none + 1, stress_deviator(par, model%fabric, S_hat, none + 1), &
-      d_A, deviator(d_direction), d_p, d_stress)
+    d_S_hat = deviator(d_direction)
+    d_A = 0
+    if (par%closure == CRITICAL) d_A = par%lambda * d_S_hat
+    by = pressure_slopes(par, A, trace(model%direction), model%coordination_number - par%Zc)
+    d_p = by%trace * trace(d_direction) / max(p, tiny(p))
+    call deviator_slopes(par, A, S_hat, one, by_A, by_S_hat)
+    d_dev = times(d_p, stress_deviator(par, A, S_hat, one))
+    do k = 1, 5
+      d_dev = d_dev + times(d_A(:, k), by_A(:, :, k)) + times(d_S_hat(:, k), by_S_hat(:, :, k))
+    end do
     if (par%elastic_strain > 0) then
-      d_stress = (d_stress + times(d_mod / max(p, tiny(p)), deviator(model%stress) - dev)) / par%elastic_strain
+      d_dev = (d_dev + times(d_mod / max(p, tiny(p)), deviator(model%stress) - dev)) / par%elastic_strain
       d_p = pressure_rate_change(par, model, d_mod, E) / max(p, tiny(p))
     end if
-    d_stress = add_identity(d_stress, -d_p)
+    d_stress = add_identity(six(d_dev), -d_p)
   end function change
 
   !> Change of dp/dt when D changes by E, from (4.2), (4.7), (4.8); g's part, a jump of p and not a rate, is left out.
@@ -117,24 +128,26 @@ contains
     type(lane_state), intent(in) :: model
     real(dp), intent(in) :: d_mod(LANES), E(LANES, 6)
     real(dp), dimension(LANES) :: d_dot_p, A_E, distance, excess, missing, d_mod_S, d_dot_Z2
-    real(dp) :: d_dot_A(LANES, 6), S_hat(LANES, 6)
+    real(dp), dimension(LANES, 5) :: A, S_hat, d_S, d_dot_A
     type(pressure_change) :: by
 
     excess = model%coordination_number - par%Zc
     distance = model%volume_fraction - par%phic
+    A = deviator(model%fabric)
     if (par%closure == CRITICAL) then
       d_dot_A = 0
       d_dot_Z2 = -par%beta2 * excess_coordination(par, distance) / max(distance, tiny(distance)) * model%volume_fraction * trace(E)
     else
       S_hat = deviator(model%direction)
-      A_E = contract(model%fabric, E)
-      d_dot_A = par%c1 * deviator(E) + times(par%c2 * d_mod + par%c3 * A_E, model%fabric)                        ! (4.7)
-      d_mod_S = contract(S_hat, E) / (2 * max(modulus(S_hat), tiny(A_E)))
+      d_S = deviator(E)
+      A_E = contract(A, d_S)
+      d_dot_A = par%c1 * d_S + times(par%c2 * d_mod + par%c3 * A_E, A)                                           ! (4.7)
+      d_mod_S = contract(S_hat, d_S) / (2 * max(modulus(S_hat), tiny(A_E)))
       missing = excess_coordination(par, distance) - excess
       d_dot_Z2 = par%d1 * (A_E - par%chi * d_mod_S) + par%d2 * d_mod * missing + par%d3 * trace(E)               ! (4.8)
     end if
-    by = pressure_slopes(par, model%fabric, model%direction, excess)
-    d_dot_p = by%A * contract(model%fabric, d_dot_A) + by%excess * d_dot_Z2
+    by = pressure_slopes(par, A, trace(model%direction), excess)
+    d_dot_p = by%A * contract(A, d_dot_A) + by%excess * d_dot_Z2
   end function pressure_rate_change
 
   !> The smallest value of a measure of Q(n) over all normals n, and where: a grid, then local searches from its best.

@@ -6,27 +6,27 @@ module granumat_fabric
   use granumat_kinds, only: dp
   use granumat_coordination, only: N_NODES
   use granumat_parameters, only: material_parameters
-  use granumat_tensors, only: LANES, corotate, times
+  use granumat_tensors, only: LANES, SQRT_3, times
   implicit none (type, external)
   private
-  public :: solve_fabric, vary_fabric, fabric_rate, fabric_at, projections_at, sum_series
+  public :: solve_fabric, pull_fabric, fabric_rate, fabric_at, projections_at
 
   integer, parameter, public :: MAX_TERMS = 20
   real(dp), parameter :: SERIES_REST = 1.0e-17_dp   ! first neglected term over the solution: below round-off
 
   !> The matrix of the linear equation over an increment.
   type :: fabric_matrix
-    real(dp) :: source(LANES, 6)               ! c1 S
-    real(dp) :: sink(LANES, 6)                 ! -c3 S, the shear components twice
+    real(dp) :: S(LANES, 5)
+    real(dp) :: source, sink                   ! c1, -c3
     real(dp) :: decay(LANES)                   ! c2 |D|
-    real(dp) :: spin(LANES, 3), twice_spin(LANES, 3)
+    real(dp) :: spin(LANES, 3)
   end type fabric_matrix
 
   !> The derivatives of B and y at t = 0, 0 <= t <= 1 over the increment.
   type, public :: fabric_solution
     integer :: terms
     type(fabric_matrix) :: matrix
-    real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
+    real(dp) :: B(LANES, 5, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
     real(dp) :: bound(LANES, 0:MAX_TERMS)      ! of the terms of their series over the solution, at t = 1
     real(dp) :: weight(LANES, 0:MAX_TERMS)     ! 1/k!, 0 from where a lane needs no more
   end type fabric_solution
@@ -44,8 +44,8 @@ contains
   !> Solves (4.7) over one increment; accurate to round-off for fabric_rate <= 1.
   pure subroutine solve_fabric(par, A, S, mod_D, w, solution)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6)      ! fabric at t = 0
-    real(dp), intent(in) :: S(LANES, 6)      ! deviatoric strain increment
+    real(dp), intent(in) :: A(LANES, 5)      ! fabric at t = 0
+    real(dp), intent(in) :: S(LANES, 5)      ! deviatoric strain increment
     real(dp), intent(in) :: mod_D(LANES)     ! |D| of the strain increment
     real(dp), intent(in) :: w(LANES, 3)      ! spin increment
     type(fabric_solution), intent(out) :: solution
@@ -53,12 +53,7 @@ contains
     integer :: k
 
     rate = fabric_rate(par, mod_D, w)
-    solution%matrix%source = par%c1 * S
-    solution%matrix%sink(:, :3) = -par%c3 * S(:, :3)
-    solution%matrix%sink(:, 4:) = -2 * par%c3 * S(:, 4:)
-    solution%matrix%decay = par%c2 * mod_D
-    solution%matrix%spin = w
-    solution%matrix%twice_spin = 2 * w
+    solution%matrix = fabric_matrix(S, par%c1, -par%c3, par%c2 * mod_D, w)
     solution%B(:, :, 0) = A
     solution%y(:, 0) = 1
     solution%bound(:, 0) = 1
@@ -77,13 +72,14 @@ contains
   !> The derivative of (B, y), in one fused loop: the hottest of all.
   pure subroutine differentiate(matrix, B, y, dot_B, dot_y)
     type(fabric_matrix), intent(in) :: matrix
-    real(dp), intent(in) :: B(LANES, 6), y(LANES)
-    real(dp), intent(out) :: dot_B(LANES, 6), dot_y(LANES)
-    real(dp) :: decay, w1, w2, w3, B1, B2, B3, B4, B5, B6
+    real(dp), intent(in) :: B(LANES, 5), y(LANES)
+    real(dp), intent(out) :: dot_B(LANES, 5), dot_y(LANES)
+    real(dp) :: decay, source, w1, w2, w3, B1, B2, B3, B4, B5
     integer :: i
 
     do i = 1, LANES
       decay = matrix%decay(i)
+      source = matrix%source * y(i)
       w1 = matrix%spin(i, 1)
       w2 = matrix%spin(i, 2)
       w3 = matrix%spin(i, 3)
@@ -92,15 +88,13 @@ contains
       B3 = B(i, 3)
       B4 = B(i, 4)
       B5 = B(i, 5)
-      B6 = B(i, 6)
-      dot_y(i) = matrix%sink(i, 1) * B1 + matrix%sink(i, 2) * B2 + matrix%sink(i, 3) * B3 &
-        + matrix%sink(i, 4) * B4 + matrix%sink(i, 5) * B5 + matrix%sink(i, 6) * B6
-      dot_B(i, 1) = matrix%source(i, 1) * y(i) + decay * B1 + matrix%twice_spin(i, 1) * B4 + matrix%twice_spin(i, 2) * B5
-      dot_B(i, 2) = matrix%source(i, 2) * y(i) + decay * B2 + matrix%twice_spin(i, 3) * B6 - matrix%twice_spin(i, 1) * B4
-      dot_B(i, 3) = matrix%source(i, 3) * y(i) + decay * B3 - matrix%twice_spin(i, 2) * B5 - matrix%twice_spin(i, 3) * B6
-      dot_B(i, 4) = matrix%source(i, 4) * y(i) + decay * B4 + w1 * (B2 - B1) + w2 * B6 + w3 * B5
-      dot_B(i, 5) = matrix%source(i, 5) * y(i) + decay * B5 + w2 * (B3 - B1) + w1 * B6 - w3 * B4
-      dot_B(i, 6) = matrix%source(i, 6) * y(i) + decay * B6 + w3 * (B3 - B2) - w1 * B5 - w2 * B4
+      dot_y(i) = matrix%sink * (matrix%S(i, 1) * B1 + matrix%S(i, 2) * B2 + matrix%S(i, 3) * B3 + matrix%S(i, 4) * B4 &
+        + matrix%S(i, 5) * B5)
+      dot_B(i, 1) = source * matrix%S(i, 1) + decay * B1 + 2 * w1 * B3 + w2 * B4 - w3 * B5
+      dot_B(i, 2) = source * matrix%S(i, 2) + decay * B2 - SQRT_3 * (w2 * B4 + w3 * B5)
+      dot_B(i, 3) = source * matrix%S(i, 3) + decay * B3 - 2 * w1 * B1 + w2 * B5 + w3 * B4
+      dot_B(i, 4) = source * matrix%S(i, 4) + decay * B4 + w2 * (SQRT_3 * B2 - B1) + w1 * B5 - w3 * B3
+      dot_B(i, 5) = source * matrix%S(i, 5) + decay * B5 + w3 * (SQRT_3 * B2 + B1) - w1 * B4 - w2 * B3
     end do
   end subroutine differentiate
 
@@ -135,82 +129,120 @@ contains
   pure subroutine fabric_at(solution, t, A, y)
     type(fabric_solution), intent(in) :: solution
     real(dp), intent(in) :: t(LANES)
-    real(dp), intent(out) :: A(LANES, 6), y(LANES)
-    real(dp) :: weight(LANES, 0:MAX_TERMS), power(LANES)
-    integer :: k
+    real(dp), intent(out) :: A(LANES, 5), y(LANES)
+    real(dp) :: total(6), term
+    integer :: i, j, k
 
-    power = 1
-    do k = 0, solution%terms
-      weight(:, k) = solution%weight(:, k) * power
-      power = power * t
+    do i = 1, LANES                            ! vectorised with the sums in registers, as the loop over the terms surely runs
+      total = 0
+      k = solution%terms
+      do
+        term = solution%weight(i, k)
+        do j = 1, 5
+          total(j) = total(j) * t(i) + term * solution%B(i, j, k)
+        end do
+        total(6) = total(6) * t(i) + term * solution%y(i, k)
+        k = k - 1
+        if (k < 0) exit
+      end do
+      A(i, :) = total(:5)
+      y(i) = total(6)
     end do
-    call sum_series(solution%terms, weight, solution%B, solution%y, A, y)
     A = times(1 / y, A)
   end subroutine fabric_at
 
-  !> Weighted sums of the terms of B and y.
-  pure subroutine sum_series(terms, weight, B, y, B_sum, y_sum)
-    integer, intent(in) :: terms
-    real(dp), intent(in), dimension(LANES, 0:MAX_TERMS) :: weight, y
-    real(dp), intent(in) :: B(LANES, 6, 0:MAX_TERMS)
-    real(dp), intent(out) :: B_sum(LANES, 6), y_sum(LANES)
-    real(dp) :: total(7)
-    integer :: i, j, k
-
-    do i = 1, LANES                            ! vectorised with the sums in registers, as the inner loop surely runs
-      total = 0
-      k = 0
-      do
-        do j = 1, 6
-          total(j) = total(j) + weight(i, k) * B(i, j, k)
-        end do
-        total(7) = total(7) + weight(i, k) * y(i, k)
-        k = k + 1
-        if (k > terms) exit
-      end do
-      B_sum(i, :) = total(:6)
-      y_sum(i) = total(7)
-    end do
-  end subroutine sum_series
-
-  !> The change of a solution, up to a number of terms, with changes of the initial fabric and, times share, of the increment.
-  pure subroutine vary_fabric(par, solution, terms, share, d_A, d_S, d_mod_D, d_w, d_B, d_y)
-    type(material_parameters), intent(in) :: par
+  !> A sum over the terms k of g_B : B(k) + g_y y(k), by what it depends on: pulled back through the series, whose transposed
+  !! matrix is that of the spin reversed and of source and sink exchanged.
+  pure subroutine pull_fabric(solution, terms, g_B, g_y, by_A, by_S, by_decay, by_spin)
     type(fabric_solution), intent(in) :: solution
     integer, intent(in) :: terms
-    real(dp), intent(in) :: share(LANES), d_A(LANES, 6)
-    real(dp), intent(in) :: d_S(6), d_mod_D, d_w(3)        ! the same in all lanes
-    real(dp), intent(out) :: d_B(LANES, 6, 0:MAX_TERMS), d_y(LANES, 0:MAX_TERMS)
-    real(dp) :: d_source(LANES, 6), d_sink(LANES, 6), d_decay(LANES), d_spin(LANES, 3)
-    integer :: changed(6), n, i, j, k
-    logical :: decays, spins
+    real(dp), intent(in) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS)
+    real(dp), intent(out) :: by_A(LANES, 5), by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3)
+    real(dp) :: q1, q2, q3, q4, q5, q_y, n1, n2, n3, n4, B1, B2, B3, B4, B5, S1, S2, S3, S4, S5, y, decay, w1, w2, w3, sink
+    real(dp) :: source1, source2, source3, source4, source5, sink1, sink2, sink3, sink4, sink5, total, turn1, turn2, turn3
+    integer :: i, k
 
-    n = 0
-    do j = 1, 6
-      if (.not. abs(d_S(j)) > 0) cycle
-      n = n + 1
-      changed(n) = j
-      d_source(:, n) = par%c1 * d_S(j) * share
-      d_sink(:, n) = -par%c3 * merge(1, 2, j <= 3) * d_S(j) * share
-    end do
-    decays = abs(d_mod_D) > 0
-    d_decay = par%c2 * d_mod_D * share
-    spins = any(abs(d_w) > 0)
-    do j = 1, 3
-      d_spin(:, j) = d_w(j) * share
-    end do
-    d_B(:, :, 0) = d_A
-    d_y(:, 0) = 0
-    do k = 1, terms
-      call differentiate(solution%matrix, d_B(:, :, k - 1), d_y(:, k - 1), d_B(:, :, k), d_y(:, k))
-      do i = 1, n
-        j = changed(i)
-        d_B(:, j, k) = d_B(:, j, k) + d_source(:, i) * solution%y(:, k - 1)
-        d_y(:, k) = d_y(:, k) + d_sink(:, i) * solution%B(:, j, k - 1)
+    do i = 1, LANES                            ! vectorised as above
+      decay = solution%matrix%decay(i)
+      w1 = solution%matrix%spin(i, 1)
+      w2 = solution%matrix%spin(i, 2)
+      w3 = solution%matrix%spin(i, 3)
+      S1 = solution%matrix%S(i, 1)
+      S2 = solution%matrix%S(i, 2)
+      S3 = solution%matrix%S(i, 3)
+      S4 = solution%matrix%S(i, 4)
+      S5 = solution%matrix%S(i, 5)
+      q1 = g_B(i, 1, terms)
+      q2 = g_B(i, 2, terms)
+      q3 = g_B(i, 3, terms)
+      q4 = g_B(i, 4, terms)
+      q5 = g_B(i, 5, terms)
+      q_y = g_y(i, terms)
+      source1 = 0
+      source2 = 0
+      source3 = 0
+      source4 = 0
+      source5 = 0
+      sink1 = 0
+      sink2 = 0
+      sink3 = 0
+      sink4 = 0
+      sink5 = 0
+      total = 0
+      turn1 = 0
+      turn2 = 0
+      turn3 = 0
+      k = terms - 1
+      do
+        B1 = solution%B(i, 1, k)
+        B2 = solution%B(i, 2, k)
+        B3 = solution%B(i, 3, k)
+        B4 = solution%B(i, 4, k)
+        B5 = solution%B(i, 5, k)
+        y = solution%y(i, k)
+        source1 = source1 + y * q1
+        source2 = source2 + y * q2
+        source3 = source3 + y * q3
+        source4 = source4 + y * q4
+        source5 = source5 + y * q5
+        sink1 = sink1 + q_y * B1
+        sink2 = sink2 + q_y * B2
+        sink3 = sink3 + q_y * B3
+        sink4 = sink4 + q_y * B4
+        sink5 = sink5 + q_y * B5
+        total = total + q1 * B1 + q2 * B2 + q3 * B3 + q4 * B4 + q5 * B5
+        turn1 = turn1 + 2 * (q1 * B3 - q3 * B1) + q4 * B5 - q5 * B4
+        turn2 = turn2 + (q1 - SQRT_3 * q2) * B4 + q3 * B5 + q4 * (SQRT_3 * B2 - B1) - q5 * B3
+        turn3 = turn3 - (q1 + SQRT_3 * q2) * B5 + q3 * B4 - q4 * B3 + q5 * (SQRT_3 * B2 + B1)
+        sink = solution%matrix%sink * q_y
+        q_y = solution%matrix%source * (S1 * q1 + S2 * q2 + S3 * q3 + S4 * q4 + S5 * q5) + g_y(i, k)
+        n1 = sink * S1 + decay * q1 - 2 * w1 * q3 - w2 * q4 + w3 * q5 + g_B(i, 1, k)
+        n2 = sink * S2 + decay * q2 + SQRT_3 * (w2 * q4 + w3 * q5) + g_B(i, 2, k)
+        n3 = sink * S3 + decay * q3 + 2 * w1 * q1 - w2 * q5 - w3 * q4 + g_B(i, 3, k)
+        n4 = sink * S4 + decay * q4 - w2 * (SQRT_3 * q2 - q1) - w1 * q5 + w3 * q3 + g_B(i, 4, k)
+        q5 = sink * S5 + decay * q5 - w3 * (SQRT_3 * q2 + q1) + w1 * q4 + w2 * q3 + g_B(i, 5, k)
+        q1 = n1
+        q2 = n2
+        q3 = n3
+        q4 = n4
+        k = k - 1
+        if (k < 0) exit
       end do
-      if (decays) d_B(:, :, k) = d_B(:, :, k) + times(d_decay, solution%B(:, :, k - 1))
-      if (spins) d_B(:, :, k) = d_B(:, :, k) + corotate(d_spin, solution%B(:, :, k - 1))
+      by_A(i, 1) = q1
+      by_A(i, 2) = q2
+      by_A(i, 3) = q3
+      by_A(i, 4) = q4
+      by_A(i, 5) = q5
+      by_S(i, 1) = solution%matrix%source * source1 + solution%matrix%sink * sink1
+      by_S(i, 2) = solution%matrix%source * source2 + solution%matrix%sink * sink2
+      by_S(i, 3) = solution%matrix%source * source3 + solution%matrix%sink * sink3
+      by_S(i, 4) = solution%matrix%source * source4 + solution%matrix%sink * sink4
+      by_S(i, 5) = solution%matrix%source * source5 + solution%matrix%sink * sink5
+      by_decay(i) = total
+      by_spin(i, 1) = turn1
+      by_spin(i, 2) = turn2
+      by_spin(i, 3) = turn3
     end do
-  end subroutine vary_fabric
+  end subroutine pull_fabric
 
 end module granumat_fabric

@@ -38,9 +38,9 @@ contains
     type(increment), intent(in) :: inc
     real(dp), intent(inout) :: y(LANES, N_EVOLVING)
     integer, intent(inout) :: status(LANES)
-    real(dp) :: mod_A_old(LANES), mod_A(LANES), A(LANES, 6), excess(LANES)
+    real(dp) :: mod_A_old(LANES), mod_A(LANES), A(LANES, 5), excess(LANES)
 
-    A = y(:, :6)
+    A = y(:, :5)
     excess = y(:, I_EXCESS)
     mod_A_old = modulus(A)
     select case (par%method)
@@ -58,10 +58,10 @@ contains
     where (status == OK) status = status_of(y)
     if (par%closure == CRITICAL) then
       call imply(par, inc, y(:, I_PHI), A, excess)
-      y(:, :6) = A
+      y(:, :5) = A
       y(:, I_EXCESS) = excess
     else      ! below the limit |A| cannot come above it (derived): only a method can bring it there
-      mod_A = modulus(y(:, :6))
+      mod_A = modulus(y(:, :5))
       where (status == OK .and. mod_A > par%fabric_limit .and. mod_A > mod_A_old) status = FABRIC_BLOWS_UP
     end if
   end subroutine integrate_by_method
@@ -72,7 +72,7 @@ contains
     integer :: status(LANES)
     status = OK
     where (.not. (y(:, I_PHI) > 0 .and. y(:, I_PHI) < 1)) status = BAD_VOLUME_FRACTION
-    where (.not. modulus(y(:, :6)) < REALISABLE) status = FABRIC_BLOWS_UP
+    where (.not. modulus(y(:, :5)) < REALISABLE) status = FABRIC_BLOWS_UP
     where (.not. sum(abs(y), 2) <= huge(1.0_dp)) status = RESULT_NOT_FINITE
   end function status_of
 
@@ -172,10 +172,10 @@ contains
     real(dp), intent(in), dimension(LANES, N_EVOLVING) :: y_old, y, estimate
     real(dp) :: error(LANES), p(LANES)
 
-    error = max(modulus(estimate(:, :6)) / max(modulus(y(:, :6)), par%kappa), &
+    error = max(modulus(estimate(:, :5)) / max(modulus(y(:, :5)), par%kappa), &
       abs(estimate(:, I_EXCESS)) / max(par%Zc + y(:, I_EXCESS), par%Zc), abs(estimate(:, I_PHI)) / y(:, I_PHI))
     if (par%elastic_strain > 0) then
-      p = pressure(par, pressure_modulus(par, y(:, :6), inc%direction), y(:, I_EXCESS))
+      p = pressure(par, pressure_modulus(par, y(:, :5), inc%tr_direction), y(:, I_EXCESS))
       error = max(error, modulus(estimate(:, I_DEV:)) &
         / max(modulus(y_old(:, I_DEV:)), modulus(y(:, I_DEV:)), p, tiny(1.0_dp)))
     end if
@@ -187,11 +187,11 @@ contains
     type(increment), intent(in) :: inc
     real(dp), intent(inout) :: y(LANES, N_EVOLVING)
     integer, intent(inout) :: status(LANES)
-    real(dp), dimension(LANES, 6) :: A, S, dev
+    real(dp), dimension(LANES, 5) :: A, S, dev
     real(dp), dimension(LANES) :: ratio, decay, forcing, excess, determinant_sign
 
     y(:, I_PHI) = y(:, I_PHI) / (1 + inc%tr_D)
-    A = y(:, :6)
+    A = y(:, :5)
     excess = y(:, I_EXCESS)
     if (par%closure == CRITICAL) then
       call imply(par, inc, y(:, I_PHI), A, excess)
@@ -202,7 +202,7 @@ contains
       forcing = par%d1 * (contract(A, S) - par%chi * modulus(S)) + par%d3 * inc%tr_D
       excess = (excess + forcing + decay * excess_coordination(par, y(:, I_PHI) - par%phic)) / (1 + decay)      ! (4.8)
     end if
-    y(:, :6) = A
+    y(:, :5) = A
     y(:, I_EXCESS) = excess
     if (par%elastic_strain > 0) then
       ratio = inc%mod_D / par%elastic_strain
@@ -219,16 +219,16 @@ contains
   pure subroutine implicit_fabric(par, inc, S, A, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: S(LANES, 6)
-    real(dp), intent(inout) :: A(LANES, 6)
+    real(dp), intent(in) :: S(LANES, 5)
+    real(dp), intent(inout) :: A(LANES, 5)
     integer, intent(inout) :: status(LANES)
-    real(dp) :: start(LANES, 6), change(LANES, 6), factor(LANES), determinant_sign(LANES)
+    real(dp) :: start(LANES, 5), change(LANES, 5), factor(LANES), determinant_sign(LANES)
     logical, dimension(LANES) :: active, converged, tame
     integer :: iteration, j
 
     start = A + par%c1 * S
     tame = modulus(A) <= par%fabric_limit
-    do j = 1, 6
+    do j = 1, 5
       A(:, j) = merge(par%lambda * inc%S_hat(:, j), A(:, j), tame)
     end do
     active = status == OK
@@ -236,7 +236,7 @@ contains
       factor = 1 - par%c2 * inc%mod_D - par%c3 * contract(A, S)
       change = start + corotate(inc%spin, A) - times(factor, A)
       call solve_linear(implicit_matrix(factor, inc%spin, par%c3 * A, S), change, determinant_sign)
-      do j = 1, 6
+      do j = 1, 5
         A(:, j) = merge(A(:, j) + change(:, j), A(:, j), active)
       end do
       converged = active .and. modulus(change) <= LAST_CHANGE * par%kappa
@@ -249,11 +249,11 @@ contains
 
   !> The matrix of T -> factor T - (W T - T W) - (S:T) A.
   pure function implicit_matrix(factor, w, A, S) result(matrix)
-    real(dp), intent(in) :: factor(LANES), w(LANES, 3), A(LANES, 6), S(LANES, 6)
-    real(dp) :: matrix(LANES, 6, 6), unit(LANES, 6)
+    real(dp), intent(in) :: factor(LANES), w(LANES, 3), A(LANES, 5), S(LANES, 5)
+    real(dp) :: matrix(LANES, 5, 5), unit(LANES, 5)
     integer :: j
 
-    do j = 1, 6
+    do j = 1, 5
       unit = 0
       unit(:, j) = 1
       matrix(:, :, j) = times(factor, unit) - corotate(w, unit) - times(contract(S, unit), A)
@@ -263,26 +263,26 @@ contains
   !> Gaussian elimination; the solution replaces x. Rows are not exchanged: where the increment is not too large for the
   !! method, the matrix has a symmetric part that dominates.
   pure subroutine solve_linear(matrix, x, determinant_sign)
-    real(dp), intent(in) :: matrix(LANES, 6, 6)
-    real(dp), intent(inout) :: x(LANES, 6)
+    real(dp), intent(in) :: matrix(LANES, 5, 5)
+    real(dp), intent(inout) :: x(LANES, 5)
     real(dp), intent(out) :: determinant_sign(LANES)
-    real(dp) :: m(LANES, 6, 6), factor(LANES)
+    real(dp) :: m(LANES, 5, 5), factor(LANES)
     integer :: i, j, k
 
     m = matrix
     determinant_sign = 1
-    do k = 1, 6
+    do k = 1, 5
       determinant_sign = determinant_sign * sign(1.0_dp, m(:, k, k))
-      do i = k + 1, 6
+      do i = k + 1, 5
         factor = m(:, i, k) / m(:, k, k)
-        do j = k + 1, 6
+        do j = k + 1, 5
           m(:, i, j) = m(:, i, j) - factor * m(:, k, j)
         end do
         x(:, i) = x(:, i) - factor * x(:, k)
       end do
     end do
-    do k = 6, 1, -1
-      do j = k + 1, 6
+    do k = 5, 1, -1
+      do j = k + 1, 5
         x(:, k) = x(:, k) - m(:, k, j) * x(:, j)
       end do
       x(:, k) = x(:, k) / m(:, k, k)

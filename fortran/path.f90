@@ -8,7 +8,7 @@ module granumat_path
   use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
-  use granumat_tangent, only: N_SEEDS
+  use granumat_tangent, only: N_COLUMNS, PULLED_IN_SPACE
   use granumat_tensors, only: LANES, strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
@@ -25,7 +25,7 @@ module granumat_path
   type :: control
     type(material_parameters) :: par
     real(dp), allocatable :: mode(:, :, :)       ! (3, 3, m)
-    real(dp), allocatable :: seeds(:, :)         ! (N_SEEDS, m): strain and spin of each mode
+    real(dp), allocatable :: columns(:, :)       ! (N_COLUMNS, m): strain and spin of each mode
     real(dp), allocatable :: functional(:, :)    ! (6, m): weights of stress 11 22 33 12 13 23
   end type control
 
@@ -57,7 +57,7 @@ contains
     real(dp) :: step, rates(size(mode, 3))
     integer :: i, point_status(1)
 
-    law = control(par, mode, seeds_of(mode), functional)
+    law = control(par, mode, columns_of(mode), functional)
     state = start
     step = 1
     rates = 0
@@ -79,16 +79,16 @@ contains
     end do
   end subroutine follow_path
 
-  pure function seeds_of(mode) result(seeds)
+  pure function columns_of(mode) result(columns)
     real(dp), intent(in) :: mode(:, :, :)
-    real(dp) :: seeds(N_SEEDS, size(mode, 3)), strain(LANES, 6), spin(LANES, 3)
+    real(dp) :: columns(N_COLUMNS, size(mode, 3)), strain(LANES, 6), spin(LANES, 3)
     integer :: k
 
     do k = 1, size(mode, 3)
       call strain_and_spin(mode(:, :, k:k), strain, spin)
-      seeds(:, k) = [strain(1, :), spin(1, :)]
+      columns(:, k) = [strain(1, :), spin(1, :)]
     end do
-  end function seeds_of
+  end function columns_of
 
   !> One increment in as many inner steps as the tolerance asks for.
   pure subroutine controlled_increment(law, old, G, target_start, target_end, tolerance, step, rates, new, amplitude, status)
@@ -196,7 +196,7 @@ contains
     type(trial), intent(out) :: found
     type(lane_state) :: x, x_new
     type(material_state) :: state(1)
-    real(dp) :: total(3, 3, 1), strain(LANES, 6), spin(LANES, 3), tangent(LANES, 6, size(q))
+    real(dp) :: total(3, 3, 1), strain(LANES, 6), spin(LANES, 3), tangent(LANES, 6, N_COLUMNS)
     integer :: status(LANES), k, m
 
     m = size(q)
@@ -206,14 +206,14 @@ contains
     end do
     call gather([old], x)
     call strain_and_spin(total, strain, spin)
-    call update(law%par, x, strain, spin, x_new, status, law%seeds, tangent)
+    call update(law%par, x, strain, spin, x_new, status, PULLED_IN_SPACE, tangent)
     call scatter(x_new, state)
     found%q(:m) = q
     found%status = status(1)
     found%state = state(1)
     found%residual(:m) = matmul(state(1)%stress, law%functional) - target
     do k = 1, m
-      found%jacobian(:m, k) = matmul(tangent(1, :, k), law%functional)
+      found%jacobian(:m, k) = matmul(matmul(tangent(1, :, :), law%columns(:, k)), law%functional)
     end do
   end subroutine try
 

@@ -12,8 +12,8 @@ module granumat_rates
   private
   public :: rates, imply, model_deviator
 
-  ! What evolves, side by side: A in 1 ... 6, and from I_DEV on the deviatoric stress (constant for e_r = 0), tension positive.
-  integer, parameter, public :: I_EXCESS = 7, I_PHI = 8, I_DEV = 9, N_EVOLVING = 14
+  ! What evolves, side by side: A in 1 ... 5, and from I_DEV on the deviatoric stress (constant for e_r = 0), tension positive.
+  integer, parameter, public :: I_EXCESS = 6, I_PHI = 7, I_DEV = 8, N_EVOLVING = 12
 
 contains
 
@@ -22,10 +22,10 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: y(LANES, N_EVOLVING)
-    real(dp) :: dot_y(LANES, N_EVOLVING), A(LANES, 6), S(LANES, 6), dev(LANES, 6)
+    real(dp) :: dot_y(LANES, N_EVOLVING), A(LANES, 5), S(LANES, 5), dev(LANES, 5)
     real(dp), dimension(LANES) :: excess, A_S, f
 
-    A = y(:, :6)
+    A = y(:, :5)
     excess = y(:, I_EXCESS)
     dot_y = 0
     dot_y(:, I_PHI) = -y(:, I_PHI) * inc%tr_D
@@ -35,7 +35,7 @@ contains
       S = times(inc%mod_D, inc%S_hat)
       A_S = contract(A, S)
       f = excess_coordination(par, y(:, I_PHI) - par%phic)
-      dot_y(:, :6) = corotate(inc%spin, A) + par%c1 * S + times(par%c2 * inc%mod_D + par%c3 * A_S, A)             ! (4.7)
+      dot_y(:, :5) = corotate(inc%spin, A) + par%c1 * S + times(par%c2 * inc%mod_D + par%c3 * A_S, A)             ! (4.7)
       dot_y(:, I_EXCESS) = par%d1 * (A_S - par%chi * modulus(S)) + par%d2 * inc%mod_D * (f - excess) + par%d3 * inc%tr_D   ! (4.8)
     end if
     if (par%elastic_strain > 0) then
@@ -49,7 +49,7 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: phi(LANES)
-    real(dp), intent(inout) :: A(LANES, 6), excess(LANES)       ! excess: Z2 - Zc
+    real(dp), intent(inout) :: A(LANES, 5), excess(LANES)       ! excess: Z2 - Zc
     A = par%lambda * inc%S_hat                                  ! (A 9)
     excess = excess_coordination(par, phi - par%phic)
   end subroutine imply
@@ -58,9 +58,9 @@ contains
   pure function model_deviator(par, inc, A, excess) result(dev)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: A(LANES, 6), excess(LANES)
-    real(dp) :: dev(LANES, 6)
-    dev = stress_deviator(par, A, inc%S_hat, pressure(par, pressure_modulus(par, A, inc%direction), excess))
+    real(dp), intent(in) :: A(LANES, 5), excess(LANES)
+    real(dp) :: dev(LANES, 5)
+    dev = stress_deviator(par, A, inc%S_hat, pressure(par, pressure_modulus(par, A, inc%tr_direction), excess))
   end function model_deviator
 
 end module granumat_rates

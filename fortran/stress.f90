@@ -4,10 +4,10 @@ module granumat_stress
   use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
   use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
-  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_symmetric, times, trace
+  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_deviator, product_matrix, six, times, trace
   implicit none (type, external)
   private
-  public :: evaluate, pressure_modulus, pressure, pressure_slopes, friction, stress_deviator, change_stress_deviator
+  public :: evaluate, pressure_modulus, pressure, pressure_slopes, friction, stress_deviator, deviator_slopes
 
   !> What the pressure changes by with A:dA, with tr D^ and with Z2 - Zc.
   type, public :: pressure_change
@@ -17,13 +17,13 @@ module granumat_stress
 contains
 
   !> a1 + a2 |A| + g tr D^, (4.2) with (B 1); kappa for |A| in the critical closure (A 11).
-  pure function pressure_modulus(par, A, direction) result(factor)
+  pure function pressure_modulus(par, A, tr_direction) result(factor)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6), direction(LANES, 6)
+    real(dp), intent(in) :: A(LANES, 5), tr_direction(LANES)
     real(dp) :: factor(LANES), mod_A(LANES)
     mod_A = par%kappa
     if (par%closure /= CRITICAL) mod_A = modulus(A)
-    factor = par%a1 + par%a2 * mod_A + par%g * trace(direction)
+    factor = par%a1 + par%a2 * mod_A + par%g * tr_direction
   end function pressure_modulus
 
   !> p d/k (4.2), or p/k_Hz (4.4): its 3/2 power; 0 for the unjammed, Z2 <= Zc.
@@ -39,7 +39,7 @@ contains
   !> eta (4.5), (4.6); chi for A:S^ in the critical closure (A 12).
   pure function friction(par, A, S_hat) result(eta)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6), S_hat(LANES, 6)
+    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5)
     real(dp) :: eta(LANES), x(LANES)
     x = par%chi
     if (par%closure /= CRITICAL) x = contract(A, S_hat)
@@ -52,23 +52,22 @@ contains
   !! at tr D = 0, so that the term stays traceless when the volume changes.
   pure function stress_deviator(par, A, S_hat, p) result(dev)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6), S_hat(LANES, 6), p(LANES)
-    real(dp) :: dev(LANES, 6), x(LANES)
+    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), p(LANES)
+    real(dp) :: dev(LANES, 5)
 
-    x = contract(A, S_hat)
-    dev = times(-friction(par, A, S_hat) - par%a4 * x / 2, S_hat) + par%a4 * A
-    dev = dev + par%a3 * add_identity(product_symmetric(A, S_hat), -2 * x / 3)
+    dev = times(-friction(par, A, S_hat) - par%a4 * contract(A, S_hat) / 2, S_hat) + par%a4 * A
+    dev = dev + par%a3 * product_deviator(A, S_hat)
     dev = times(-p, dev)
   end function stress_deviator
 
-  pure function pressure_slopes(par, A, direction, excess) result(by)
+  pure function pressure_slopes(par, A, tr_direction, excess) result(by)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 6), direction(LANES, 6), excess(LANES)
+    real(dp), intent(in) :: A(LANES, 5), tr_direction(LANES), excess(LANES)
     type(pressure_change) :: by
     real(dp), dimension(LANES) :: factor, z, outer
 
     z = max(excess, 0.0_dp)
-    factor = pressure_modulus(par, A, direction)
+    factor = pressure_modulus(par, A, tr_direction)
     outer = 1
     if (par%contact == HERTZIAN) outer = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z
     by%A = 0
@@ -77,69 +76,50 @@ contains
     by%excess = 2 * outer * factor * z
   end function pressure_slopes
 
-  !> Change of the stress deviator with changes of A, S^ and p; unit is the deviator at p = 1.
-  pure subroutine change_stress_deviator(par, A, S, p, unit, d_A, d_S, d_p, d_dev)
+  !> What the stress deviator changes by with A and with S^, at constant pressure; the first is symmetric.
+  pure subroutine deviator_slopes(par, A, S_hat, p, by_A, by_S_hat)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in), dimension(LANES, 6) :: A, S, unit, d_A, d_S       ! S, d_S: of S^
-    real(dp), intent(in), dimension(LANES) :: p, d_p
-    real(dp), intent(out) :: d_dev(LANES, 6)
-    real(dp) :: x, d_x, along, across, isotropic, slope(3)
-    integer :: i
+    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), p(LANES)
+    real(dp), intent(out), dimension(LANES, 5, 5) :: by_A, by_S_hat      ! (:, i, j): component i by component j
+    real(dp), dimension(LANES) :: x, by_x, across, along
+    real(dp) :: slope(3)
+    integer :: i, j
 
     slope = [par%b1, par%b2, par%b3]
     if (par%closure == CRITICAL) slope = [par%b1 + par%chi * (par%b2 + par%chi * par%b3), 0.0_dp, 0.0_dp]
-    do i = 1, LANES                            ! one fused loop, dA S^ + S^ dA + A dS^ + dS^ A written out: hot in the tangent
-      x = A(i, 1) * S(i, 1) + A(i, 2) * S(i, 2) + A(i, 3) * S(i, 3) &
-        + 2 * (A(i, 4) * S(i, 4) + A(i, 5) * S(i, 5) + A(i, 6) * S(i, 6))
-      d_x = d_A(i, 1) * S(i, 1) + d_A(i, 2) * S(i, 2) + d_A(i, 3) * S(i, 3) &
-        + A(i, 1) * d_S(i, 1) + A(i, 2) * d_S(i, 2) + A(i, 3) * d_S(i, 3) &
-        + 2 * (d_A(i, 4) * S(i, 4) + d_A(i, 5) * S(i, 5) + d_A(i, 6) * S(i, 6) &
-          + A(i, 4) * d_S(i, 4) + A(i, 5) * d_S(i, 5) + A(i, 6) * d_S(i, 6))
-      along = -d_x * (slope(2) + 2 * x * slope(3) + par%a4 / 2)
-      across = -(slope(1) + x * (slope(2) + x * slope(3)) + par%a4 * x / 2)
-      isotropic = -2 * d_x / 3
-      d_dev(i, 1) = d_p(i) * unit(i, 1) - p(i) * (along * S(i, 1) + across * d_S(i, 1) + par%a4 * d_A(i, 1) + par%a3 * (isotropic &
-        + 2 * (d_A(i, 1) * S(i, 1) + d_A(i, 4) * S(i, 4) + d_A(i, 5) * S(i, 5) &
-        + A(i, 1) * d_S(i, 1) + A(i, 4) * d_S(i, 4) + A(i, 5) * d_S(i, 5))))
-      d_dev(i, 2) = d_p(i) * unit(i, 2) - p(i) * (along * S(i, 2) + across * d_S(i, 2) + par%a4 * d_A(i, 2) + par%a3 * (isotropic &
-        + 2 * (d_A(i, 4) * S(i, 4) + d_A(i, 2) * S(i, 2) + d_A(i, 6) * S(i, 6) &
-        + A(i, 4) * d_S(i, 4) + A(i, 2) * d_S(i, 2) + A(i, 6) * d_S(i, 6))))
-      d_dev(i, 3) = d_p(i) * unit(i, 3) - p(i) * (along * S(i, 3) + across * d_S(i, 3) + par%a4 * d_A(i, 3) + par%a3 * (isotropic &
-        + 2 * (d_A(i, 5) * S(i, 5) + d_A(i, 6) * S(i, 6) + d_A(i, 3) * S(i, 3) &
-        + A(i, 5) * d_S(i, 5) + A(i, 6) * d_S(i, 6) + A(i, 3) * d_S(i, 3))))
-      d_dev(i, 4) = d_p(i) * unit(i, 4) - p(i) * (along * S(i, 4) + across * d_S(i, 4) + par%a4 * d_A(i, 4) + par%a3 &
-        * (d_A(i, 1) * S(i, 4) + d_A(i, 4) * (S(i, 1) + S(i, 2)) + d_A(i, 5) * S(i, 6) &
-        + S(i, 4) * d_A(i, 2) + S(i, 5) * d_A(i, 6) &
-        + A(i, 1) * d_S(i, 4) + A(i, 4) * (d_S(i, 1) + d_S(i, 2)) + A(i, 5) * d_S(i, 6) &
-        + d_S(i, 4) * A(i, 2) + d_S(i, 5) * A(i, 6)))
-      d_dev(i, 5) = d_p(i) * unit(i, 5) - p(i) * (along * S(i, 5) + across * d_S(i, 5) + par%a4 * d_A(i, 5) + par%a3 &
-        * (d_A(i, 1) * S(i, 5) + d_A(i, 4) * S(i, 6) + d_A(i, 5) * (S(i, 1) + S(i, 3)) &
-        + S(i, 4) * d_A(i, 6) + S(i, 5) * d_A(i, 3) &
-        + A(i, 1) * d_S(i, 5) + A(i, 4) * d_S(i, 6) + A(i, 5) * (d_S(i, 1) + d_S(i, 3)) &
-        + d_S(i, 4) * A(i, 6) + d_S(i, 5) * A(i, 3)))
-      d_dev(i, 6) = d_p(i) * unit(i, 6) - p(i) * (along * S(i, 6) + across * d_S(i, 6) + par%a4 * d_A(i, 6) + par%a3 &
-        * (d_A(i, 4) * S(i, 5) + d_A(i, 2) * S(i, 6) + d_A(i, 6) * (S(i, 2) + S(i, 3)) &
-        + S(i, 4) * d_A(i, 5) + S(i, 6) * d_A(i, 3) &
-        + A(i, 4) * d_S(i, 5) + A(i, 2) * d_S(i, 6) + A(i, 6) * (d_S(i, 2) + d_S(i, 3)) &
-        + d_S(i, 4) * A(i, 5) + d_S(i, 6) * A(i, 3)))
+    x = contract(A, S_hat)
+    by_x = p * (slope(2) + 2 * x * slope(3) + par%a4 / 2)
+    across = p * (slope(1) + x * (slope(2) + x * slope(3)) + par%a4 * x / 2)
+    along = -p * par%a4
+    by_A = product_matrix(S_hat)
+    by_S_hat = product_matrix(A)
+    do j = 1, 5
+      do i = 1, 5
+        by_A(:, i, j) = by_x * S_hat(:, i) * S_hat(:, j) - par%a3 * p * by_A(:, i, j)
+        by_S_hat(:, i, j) = by_x * S_hat(:, i) * A(:, j) - par%a3 * p * by_S_hat(:, i, j)
+      end do
+      by_A(:, j, j) = by_A(:, j, j) + along
+      by_S_hat(:, j, j) = by_S_hat(:, j, j) + across
     end do
-  end subroutine change_stress_deviator
+  end subroutine deviator_slopes
 
   !> The model stress of states' microstructure in their direction, and eta; what the critical closure implies is set.
   pure subroutine evaluate(par, x, eta)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(inout) :: x
     real(dp), intent(out) :: eta(LANES)
-    real(dp) :: S_hat(LANES, 6), p(LANES)
+    real(dp), dimension(LANES, 5) :: S_hat, A
+    real(dp) :: p(LANES)
 
     S_hat = deviator(x%direction)
     if (par%closure == CRITICAL) then
-      x%fabric = par%lambda * S_hat                                                            ! (A 9)
+      x%fabric = six(par%lambda * S_hat)                                                       ! (A 9)
       x%coordination_number = par%Zc + excess_coordination(par, x%volume_fraction - par%phic)
     end if
-    eta = friction(par, x%fabric, S_hat)
-    p = pressure(par, pressure_modulus(par, x%fabric, x%direction), x%coordination_number - par%Zc)
-    x%stress = add_identity(stress_deviator(par, x%fabric, S_hat, p), -p)
+    A = deviator(x%fabric)
+    eta = friction(par, A, S_hat)
+    p = pressure(par, pressure_modulus(par, A, trace(x%direction)), x%coordination_number - par%Zc)
+    x%stress = add_identity(six(stress_deviator(par, A, S_hat, p)), -p)
   end subroutine evaluate
 
 end module granumat_stress

@@ -1,159 +1,128 @@
-!> The consistent tangent of the exact update, in closed form: changes of the state with changes of the increment (seeds: strain
-!! and spin components, or combinations of them) follow it through the inner steps.
+!> The consistent tangent of the exact update, in closed form: the stress at the end as a function of what came before, pulled back
+!! through the inner steps, the last one first, to the strain and spin of the increment. There are six such functions whatever the
+!! number of derivatives: the stress deviator's components and the pressure.
 !!
-!! S, tr D, W and |D| change as if they were independent: a seed's changes of the first three are the same in all lanes and mostly
-!! zero; the change with |D| is common to all seeds, each takes its share of it at the end.
+!! S, |S|, tr D, W, |D|, S^ and tr D^ change as if they were independent, until the end.
 module granumat_tangent
   use granumat_kinds, only: dp
   use granumat_coordination, only: INTEGRAL, N_NODES, excess_coordination, excess_slope, exponential
-  use granumat_fabric, only: MAX_TERMS, sum_series, vary_fabric
-  use granumat_increment, only: increment, inner_solution, internal
+  use granumat_fabric, only: MAX_TERMS, pull_fabric
+  use granumat_increment, only: AT_END, increment, inner_solution, internal
   use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_relaxation, only: relaxation_weights, relaxation_weights_slope
-  use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, change_stress_deviator
-  use granumat_tensors, only: LANES, contract, corotate, modulus, rotate, rotation_change, small_rotation, times, times_spin, &
-    trace
+  use granumat_relaxation, only: relaxation_weights_slope
+  use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, deviator_slopes
+  use granumat_tensors, only: LANES, add_identity, commute, contract, modulus, six, spin_moments, spin_series, times, times_spin
   implicit none (type, external)
   private
-  public :: basis, by_components, start_variations, vary_inner_step, stress_changes
+  public :: start_pulling, pull_inner_step, tangent_of
 
-  integer, parameter, public :: N_SEEDS = 9    ! 11 22 33, engineering shears 12 13 23, spins 12 13 23
-  integer, parameter, public :: PLANE_SEEDS(4) = [1, 2, 4, 7]
-  integer, parameter :: AT_END = N_NODES + 1   ! behind the nodes of an inner step
+  integer, parameter, public :: N_COLUMNS = 9                 ! strains 11 22 33, engineering shears 12 13 23, spins 12 13 23
+  integer, parameter, public :: PLANE_COLUMNS(4) = [1, 2, 4, 7]
+  integer, parameter, public :: PULLED_IN_SPACE = 6, PULLED_IN_PLANE = 4    ! the deviator's 5 components, or its first 3; the pressure
   real(dp), parameter :: TANGENT_REST = 1.0e-10_dp  ! first neglected term of the fabric's change over the first one
 
-  !> Changes with one seed, or with |D|: of the whole increment, then of what has evolved so far.
-  type, public :: variation
-    real(dp) :: S(6), w(3), tr_D, mod_D
-    logical :: reaches_fabric
-    real(dp) :: S_hat(LANES, 6), mod_S(LANES), trace_direction(LANES)
-    real(dp) :: A(LANES, 6), dev(LANES, 6), excess(LANES), log_phi(LANES)
-  end type variation
+  !> What a component of the stress at the end changes by: with what was there before the inner steps that it has been pulled
+  !! through, and with the increment.
+  type, public :: pulled
+    real(dp) :: A(LANES, 5), dev(LANES, 5), excess(LANES), log_phi(LANES)
+    real(dp) :: S(LANES, 5), S_hat(LANES, 5), w(LANES, 3)
+    real(dp), dimension(LANES) :: mod_S, tr_D, mod_D, tr_direction
+  end type pulled
 
-  !> What the changes of an inner step share, at the nodes (only with e_r > 0) and the end: t^k/k!, 1/y, and what a change of Z2 is
-  !! made of, by those of the fabric's y_k and of other things.
+  !> What the functions share in an inner step, at the nodes (only with e_r > 0) and the end: t^k/k!, 1/y, and what Z2 - Zc there
+  !! changes by, with the fabric's y_k and with other things.
   type :: shared_factors
     integer :: first, terms
     real(dp) :: weight(LANES, 0:MAX_TERMS, AT_END), by_y(LANES, 0:MAX_TERMS, AT_END)
     real(dp), dimension(LANES, AT_END) :: inverse_y, by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi
   end type shared_factors
 
-  !> And what those of a relaxing deviator share: at the start (0), the nodes and the end.
-  type :: relaxation_factors
-    real(dp), dimension(LANES, AT_END) :: weights, slopes, p
-    real(dp) :: decay(LANES), w(LANES, 3, 0:AT_END), R(LANES, 3, 3, 0:AT_END)
-    real(dp) :: unit(LANES, 6, AT_END), turned(LANES, 6, 0:AT_END)
-    type(pressure_change) :: by(AT_END)
-  end type relaxation_factors
+  !> What a function changes by with A and Z2 - Zc at the nodes and the end.
+  type :: met
+    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)
+  end type met
 
 contains
 
-  !> The seeds of all changes: of the strain two without volume and one without shape, for the fabric sees no volume; or those
-  !! that plane strain has.
-  pure function basis(n) result(seeds)
-    integer, intent(in) :: n                             ! 6: strains, N_SEEDS: and spins; 3: strains 11 22 12, 4: and spin 12
-    real(dp) :: seeds(N_SEEDS, n)
-    integer :: j
-
-    seeds = 0
-    if (n < 6) then
-      do j = 1, n
-        seeds(PLANE_SEEDS(j), j) = 1
-      end do
-      return
-    end if
-    do j = 4, n
-      seeds(j, j) = 1
-    end do
-    seeds(:3, 1) = [1, -1, 0]
-    seeds(:3, 2) = [0, 1, -1]
-    seeds(:3, 3) = 1.0_dp / 3
-  end function basis
-
-  !> From changes with the basis to changes with the components.
-  pure subroutine by_components(tangent)
-    real(dp), intent(inout) :: tangent(:, :, :)          ! (LANES, 6, n)
-    real(dp), dimension(LANES) :: first, second, volume
-    integer :: k
-
-    if (size(tangent, 3) < 6) return
-    do k = 1, 6
-      first = tangent(:, k, 1)
-      second = tangent(:, k, 2)
-      volume = tangent(:, k, 3)
-      tangent(:, k, 1) = volume + (2 * first + second) / 3
-      tangent(:, k, 2) = volume + (second - first) / 3
-      tangent(:, k, 3) = volume - (first + 2 * second) / 3
-    end do
-  end subroutine by_components
-
-  !> Changes of the increment with each seed: a change of the strains (engineering shears) and of the spins; the last, with |D|.
-  pure subroutine start_variations(inc, seeds, change)
-    type(increment), intent(in) :: inc
-    real(dp), intent(in) :: seeds(:, :)                  ! (N_SEEDS, n)
-    type(variation), intent(out) :: change(:)            ! (n + 1)
-    real(dp), dimension(LANES) :: inverse, inverse_S, trace_direction
-    integer :: j, k
-
-    inverse = 1 / max(inc%mod_D, tiny(1.0_dp))
-    inverse_S = 1 / max(2 * modulus(inc%S_hat), tiny(1.0_dp))          ! of |S| over |D|
-    trace_direction = trace(inc%direction)
-    do j = 1, size(change)
-      associate (c => change(j))
-        c%S = 0
-        c%w = 0
-        c%tr_D = 0
-        c%mod_D = merge(1, 0, j > size(seeds, 2))
-        if (j <= size(seeds, 2)) then
-          c%tr_D = sum(seeds(:3, j))
-          c%S = [seeds(:3, j) - c%tr_D / 3, seeds(4:6, j) / 2]
-          c%w = seeds(7:, j)
-        end if
-        c%reaches_fabric = c%mod_D > 0 .or. any(abs(c%S) > 0) .or. any(abs(c%w) > 0)
-        c%mod_S = inverse_S * project(inc%S_hat, c%S)
-        do k = 1, 6
-          c%S_hat(:, k) = inverse * (c%S(k) - c%mod_D * inc%S_hat(:, k))
-        end do
-        c%trace_direction = inverse * (c%tr_D - c%mod_D * trace_direction)
-        c%A = 0
-        c%dev = 0
-        c%excess = 0
-        c%log_phi = 0
-      end associate
-    end do
-  end subroutine start_variations
-
-  !> T : S with an S that is the same in all lanes.
-  pure function project(T, S) result(p)
-    real(dp), intent(in) :: T(LANES, 6), S(6)
-    real(dp) :: p(LANES)
-    p = T(:, 1) * S(1) + T(:, 2) * S(2) + T(:, 3) * S(3) + 2 * (T(:, 4) * S(4) + T(:, 5) * S(5) + T(:, 6) * S(6))
-  end function project
-
-  !> Carries the changes over an inner step.
-  pure subroutine vary_inner_step(par, inc, dev, step, change)
+  !> The functions at the end of the increment: the last is the pressure, the others components of the deviator.
+  pure subroutine start_pulling(par, inc, x, f)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: dev(LANES, 6)                ! deviatoric stress before the step
-    type(inner_solution), intent(in) :: step
-    type(variation), intent(inout) :: change(:)
-    type(shared_factors) :: factors
-    type(relaxation_factors) :: relaxation
-    real(dp) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)
-    integer :: j
+    type(internal), intent(in) :: x
+    type(pulled), intent(out) :: f(:)
+    type(pressure_change) :: by
+    real(dp) :: one(LANES), p(LANES), unit(LANES, 5), by_A(LANES, 5, 5), by_S_hat(LANES, 5, 5)
+    integer :: i, n
 
-    if (par%closure /= CRITICAL) call share_factors(par, step, factors)
-    if (par%elastic_strain > 0) call share_relaxation(par, inc, dev, step, relaxation)
-    do j = 1, size(change)
-      if (par%closure == CRITICAL) then
-        call vary_implied(par, step, change(j), d_A, d_excess)
-      else
-        call vary_microstructure(par, step, factors, change(j), d_A, d_excess)
-      end if
-      change(j)%log_phi = change(j)%log_phi - step%share * change(j)%tr_D
-      if (par%elastic_strain > 0) call vary_relaxation(par, inc, step, relaxation, d_A, d_excess, change(j))
+    n = size(f)
+    by = pressure_slopes(par, x%A, inc%tr_direction, x%excess)
+    do i = 1, n
+      f(i) = nothing()
     end do
-  end subroutine vary_inner_step
+    f(n)%A = times(by%A, x%A)
+    f(n)%excess = by%excess
+    f(n)%tr_direction = by%trace
+    if (par%elastic_strain > 0) then
+      do i = 1, n - 1
+        f(i)%dev(:, i) = 1
+      end do
+    else
+      one = 1
+      unit = stress_deviator(par, x%A, inc%S_hat, one)
+      p = pressure(par, pressure_modulus(par, x%A, inc%tr_direction), x%excess)
+      call deviator_slopes(par, x%A, inc%S_hat, p, by_A, by_S_hat)
+      do i = 1, n - 1
+        f(i)%A = by_A(:, :, i) + times(unit(:, i), f(n)%A)
+        f(i)%excess = unit(:, i) * by%excess
+        f(i)%tr_direction = unit(:, i) * by%trace
+        f(i)%S_hat = by_S_hat(:, i, :)
+      end do
+    end if
+  end subroutine start_pulling
+
+  pure function nothing() result(f)
+    type(pulled) :: f
+    f%A = 0
+    f%dev = 0
+    f%excess = 0
+    f%log_phi = 0
+    f%S = 0
+    f%S_hat = 0
+    f%w = 0
+    f%mod_S = 0
+    f%tr_D = 0
+    f%mod_D = 0
+    f%tr_direction = 0
+  end function nothing
+
+  !> Pulls functions of what an inner step leads to back to what it starts from.
+  pure subroutine pull_inner_step(par, inc, step, f)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(inner_solution), intent(in) :: step
+    type(pulled), intent(inout) :: f(:)
+    type(shared_factors) :: factors
+    type(met) :: at(size(f))
+    integer :: i, n
+
+    n = size(f)
+    do i = 1, n
+      at(i)%A(:, :, AT_END) = f(i)%A
+      at(i)%excess(:, AT_END) = f(i)%excess
+      f(i)%tr_D = f(i)%tr_D - step%share * f(i)%log_phi
+    end do
+    if (par%elastic_strain > 0) call pull_relaxation(par, inc, step, f(:n - 1), at(:n - 1))
+    if (par%closure == CRITICAL) then
+      do i = 1, n
+        call pull_implied(par, step, merge(1, AT_END, par%elastic_strain > 0 .and. i < n), at(i), f(i))
+      end do
+    else
+      call share_factors(par, step, factors)
+      do i = 1, n
+        call pull_microstructure(par, step, factors, merge(factors%first, AT_END, i < n), at(i), f(i))
+      end do
+    end if
+  end subroutine pull_inner_step
 
   pure subroutine share_factors(par, step, factors)
     type(material_parameters), intent(in) :: par
@@ -231,203 +200,180 @@ contains
     end do
   end subroutine weigh_series
 
-  !> Changes of A and of Z2 - Zc: at the end, and with e_r > 0 at the nodes.
-  pure subroutine vary_microstructure(par, step, factors, change, d_A, d_excess)
+  !> To the fabric and Z2 - Zc before the step.
+  pure subroutine pull_microstructure(par, step, factors, first, at, f)
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
     type(shared_factors), intent(in) :: factors
-    type(variation), intent(inout) :: change
-    real(dp), intent(out) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)
-    real(dp) :: B(LANES, 6, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
+    integer, intent(in) :: first                         ! of the nodes where something is met
+    type(met), intent(in) :: at
+    type(pulled), intent(inout) :: f
+    real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, AT_END), by_y(LANES, AT_END)
+    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3)
+    integer :: j, k, m
+
+    f%excess = 0
+    do m = first, AT_END
+      f%excess = f%excess + at%excess(:, m) * factors%by_excess(:, m)
+      f%mod_D = f%mod_D + at%excess(:, m) * factors%by_mod_D(:, m)
+      f%mod_S = f%mod_S + at%excess(:, m) * factors%by_mod_S(:, m)
+      f%tr_D = f%tr_D + at%excess(:, m) * factors%by_tr_D(:, m)
+      f%log_phi = f%log_phi + at%excess(:, m) * factors%by_log_phi(:, m)
+      by_B(:, :, m) = times(factors%inverse_y(:, m), at%A(:, :, m))
+      by_y(:, m) = -contract(by_B(:, :, m), step%A(:, :, m))
+    end do
+    do k = 0, factors%terms
+      g_y(:, k) = factors%weight(:, k, AT_END) * by_y(:, AT_END) + factors%by_y(:, k, AT_END) * at%excess(:, AT_END)
+      do m = first, N_NODES
+        g_y(:, k) = g_y(:, k) + factors%weight(:, k, m) * by_y(:, m) + factors%by_y(:, k, m) * at%excess(:, m)
+      end do
+      do j = 1, 5
+        g_B(:, j, k) = factors%weight(:, k, AT_END) * by_B(:, j, AT_END)
+        do m = first, N_NODES
+          g_B(:, j, k) = g_B(:, j, k) + factors%weight(:, k, m) * by_B(:, j, m)
+        end do
+      end do
+    end do
+    call pull_fabric(step%fabric, factors%terms, g_B, g_y, f%A, by_S, by_decay, by_spin)
+    f%S = f%S + times(step%share, by_S)
+    f%mod_D = f%mod_D + par%c2 * step%share * by_decay
+    f%w = f%w + times_spin(step%share, by_spin)
+  end subroutine pull_microstructure
+
+  !> To what the critical closure implies them from: A = lambda S^, Z2 = f(phi).
+  pure subroutine pull_implied(par, step, first, at, f)
+    type(material_parameters), intent(in) :: par
+    type(inner_solution), intent(in) :: step
+    integer, intent(in) :: first
+    type(met), intent(in) :: at
+    type(pulled), intent(inout) :: f
+    real(dp), dimension(LANES) :: t, phi, by_log_phi
     integer :: m
 
-    if (change%reaches_fabric) then
-      call vary_fabric(par, step%fabric, factors%terms, step%share, change%A, change%S, change%mod_D, change%w, B, y)
-      do m = factors%first, N_NODES
-        call vary_at(m, d_A(:, :, m), d_excess(:, m))
-      end do
-      call vary_at(AT_END, change%A, change%excess)
-    else
-      d_A(:, :, factors%first:) = 0
-      do m = factors%first, N_NODES
-        d_excess(:, m) = vary_excess(m)
-      end do
-      change%excess = vary_excess(AT_END)
-    end if
-
-  contains
-
-    pure subroutine vary_at(m, d_A, d_excess)
-      integer, intent(in) :: m
-      real(dp), intent(out) :: d_A(LANES, 6), d_excess(LANES)
-      real(dp) :: d_y(LANES), total(LANES)
-      integer :: k
-
-      total = vary_excess(m)
-      do k = 1, factors%terms
-        total = total + factors%by_y(:, k, m) * y(:, k)
-      end do
-      d_excess = total
-      call sum_series(factors%terms, factors%weight(:, :, m), B, y, d_A, d_y)
-      do k = 1, 6
-        d_A(:, k) = factors%inverse_y(:, m) * (d_A(:, k) - d_y * step%A(:, k, m))
-      end do
-    end subroutine vary_at
-
-    !> What does not come by way of the fabric.
-    pure function vary_excess(m) result(d_excess)
-      integer, intent(in) :: m
-      real(dp) :: d_excess(LANES)
-      d_excess = factors%by_excess(:, m) * change%excess + factors%by_mod_D(:, m) * change%mod_D &
-        + factors%by_mod_S(:, m) * change%mod_S + factors%by_tr_D(:, m) * change%tr_D + factors%by_log_phi(:, m) * change%log_phi
-    end function vary_excess
-
-  end subroutine vary_microstructure
-
-  !> Changes of what the critical closure implies: A = lambda S^, Z2 = f(phi).
-  pure subroutine vary_implied(par, step, change, d_A, d_excess)
-    type(material_parameters), intent(in) :: par
-    type(inner_solution), intent(in) :: step
-    type(variation), intent(inout) :: change
-    real(dp), intent(out) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)
-    integer :: i
-
-    do i = 1, N_NODES
-      d_A(:, :, i) = par%lambda * change%S_hat
-      d_excess(:, i) = excess_slope(par, step%phi(:, i) - par%phic) * step%phi(:, i) &
-        * (change%log_phi - step%t(:, i) * step%share * change%tr_D)
+    do m = first, AT_END
+      t = 1
+      phi = step%phi_end
+      if (m < AT_END) t = step%t(:, m)
+      if (m < AT_END) phi = step%phi(:, m)
+      by_log_phi = at%excess(:, m) * excess_slope(par, phi - par%phic) * phi
+      f%log_phi = f%log_phi + by_log_phi
+      f%tr_D = f%tr_D - t * step%share * by_log_phi
+      f%S_hat = f%S_hat + par%lambda * at%A(:, :, m)
     end do
-    change%A = par%lambda * change%S_hat
-    change%excess = excess_slope(par, step%phi_end - par%phic) * step%phi_end * (change%log_phi - step%share * change%tr_D)
-  end subroutine vary_implied
+    f%A = 0
+    f%excess = 0
+  end subroutine pull_implied
 
-  pure subroutine share_relaxation(par, inc, dev, step, factors)
+  !> The relaxing deviator: to that before the step, to its rotation and decay, and to the model's at the nodes and the end.
+  pure subroutine pull_relaxation(par, inc, step, f, at)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    real(dp), intent(in) :: dev(LANES, 6)                ! before the step
     type(inner_solution), intent(in) :: step
-    type(relaxation_factors), intent(out) :: factors
-    real(dp) :: ratio(LANES), u(LANES, AT_END), one(LANES)
-    integer :: i
+    type(pulled), intent(inout) :: f(:)                  ! components of the deviator
+    type(met), intent(inout) :: at(:)
+    real(dp), dimension(LANES, 5) :: by_mod_D, turned(LANES, 5, 0:2), q
+    real(dp), dimension(LANES) :: change
+    real(dp) :: by_A(LANES, 5, 5), by_S_hat(LANES, 5, 5), twice(LANES, 3)
+    type(pressure_change) :: by
+    integer :: i, j, k, m
 
-    one = 1
-    ratio = step%mod_D / par%elastic_strain
+    call share_rotation(par, step, by_mod_D, turned)
+    do m = 1, AT_END
+      by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
+      call deviator_slopes(par, step%A(:, :, m), inc%S_hat, step%p(:, m), by_A, by_S_hat)
+      do i = 1, size(f)
+        q = f(i)%dev
+        if (m < AT_END) q = turned_back(step%R(:, :, :, m), q)
+        q = times(step%weights(:, m), q)
+        change = contract(q, step%unit(:, :, m))         ! with the pressure
+        if (m < AT_END) then
+          at(i)%A(:, :, m) = times(change * by%A, step%A(:, :, m))
+          at(i)%excess(:, m) = change * by%excess
+        else
+          at(i)%A(:, :, m) = at(i)%A(:, :, m) + times(change * by%A, step%A(:, :, m))
+          at(i)%excess(:, m) = at(i)%excess(:, m) + change * by%excess
+        end if
+        do k = 1, 5
+          do j = 1, 5
+            at(i)%A(:, j, m) = at(i)%A(:, j, m) + q(:, k) * by_A(:, k, j)
+            f(i)%S_hat(:, j) = f(i)%S_hat(:, j) + q(:, k) * by_S_hat(:, k, j)
+          end do
+        end do
+        f(i)%tr_direction = f(i)%tr_direction + change * by%trace
+      end do
+    end do
+    do i = 1, size(f)
+      f(i)%mod_D = f(i)%mod_D + contract(f(i)%dev, by_mod_D)
+      twice = commute(step%w, spin_moments(f(i)%dev, turned(:, :, 2)))
+      f(i)%w = f(i)%w + times_spin(step%share, spin_moments(f(i)%dev, turned(:, :, 0)) &
+        + commute(step%w, twice - spin_moments(f(i)%dev, turned(:, :, 1))))
+      f(i)%dev = times(step%weights(:, 0), turned_back(step%R(:, :, :, 0), f(i)%dev))
+    end do
+  end subroutine pull_relaxation
+
+  !> What the relaxing deviator changes by with |D|; and with the spin: the change V of a rotation by w u is that of w, to which
+  !! come commutators with w, once and twice, times u^2 (1 - cos(a))/a^2 and u^3 (a - sin(a))/a^3.
+  pure subroutine share_rotation(par, step, by_mod_D, turned)
+    type(material_parameters), intent(in) :: par
+    type(inner_solution), intent(in) :: step
+    real(dp), intent(out) :: by_mod_D(LANES, 5), turned(LANES, 5, 0:2)
+    real(dp) :: u(LANES, AT_END), slopes(LANES, AT_END), second(LANES), third(LANES), weight(LANES)
+    integer :: m
+
     u(:, :N_NODES) = 1 - step%t
     u(:, AT_END) = 0
-    factors%decay = exp(-ratio)
-    factors%weights = relaxation_weights(ratio, u)
-    factors%slopes = relaxation_weights_slope(ratio, u)
-    factors%w(:, :, 0) = step%w
-    factors%R(:, :, :, 0) = small_rotation(step%w)
-    factors%turned(:, :, 0) = times(factors%decay, rotate(factors%R(:, :, :, 0), dev))
-    do i = 1, AT_END
-      factors%w(:, :, i) = times_spin(u(:, i), step%w)
-      factors%R(:, :, :, i) = small_rotation(factors%w(:, :, i))
-      factors%p(:, i) = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%direction), step%excess(:, i))
-      factors%by(i) = pressure_slopes(par, step%A(:, :, i), inc%direction, step%excess(:, i))
-      factors%unit(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
-      factors%turned(:, :, i) = rotate(factors%R(:, :, :, i), times(factors%p(:, i), factors%unit(:, :, i)))
+    slopes = relaxation_weights_slope(step%mod_D / par%elastic_strain, u)
+    call spin_series(step%w, second, third)
+    by_mod_D = -step%turned(:, :, 0)
+    turned(:, :, 0) = step%turned(:, :, 0)
+    turned(:, :, 1) = times(second, step%turned(:, :, 0))
+    turned(:, :, 2) = times(third, step%turned(:, :, 0))
+    do m = 1, AT_END
+      by_mod_D = by_mod_D + times(slopes(:, m), step%turned(:, :, m))
+      call spin_series(times_spin(u(:, m), step%w), second, third)
+      weight = step%weights(:, m) * u(:, m)
+      turned(:, :, 0) = turned(:, :, 0) + times(weight, step%turned(:, :, m))
+      turned(:, :, 1) = turned(:, :, 1) + times(weight * u(:, m) * second, step%turned(:, :, m))
+      turned(:, :, 2) = turned(:, :, 2) + times(weight * u(:, m)**2 * third, step%turned(:, :, m))
     end do
-  end subroutine share_relaxation
+    by_mod_D = times(step%share / par%elastic_strain, by_mod_D)
+  end subroutine share_rotation
 
-  !> Change of the relaxing deviator.
-  pure subroutine vary_relaxation(par, inc, step, factors, d_A, d_excess, change)
-    type(material_parameters), intent(in) :: par
+  !> R^T q
+  pure function turned_back(R, q) result(back)
+    real(dp), intent(in) :: R(LANES, 5, 5), q(LANES, 5)
+    real(dp) :: back(LANES, 5)
+    integer :: j
+    do j = 1, 5
+      back(:, j) = contract(R(:, :, j), q)
+    end do
+  end function turned_back
+
+  !> Change of the stress at the end of the increment, tension positive, with the strain and the spin.
+  pure subroutine tangent_of(inc, f, tangent)
     type(increment), intent(in) :: inc
-    type(inner_solution), intent(in) :: step
-    type(relaxation_factors), intent(in) :: factors
-    real(dp), intent(in) :: d_A(LANES, 6, N_NODES), d_excess(LANES, N_NODES)     ! at the nodes
-    type(variation), intent(inout) :: change
-    real(dp), dimension(LANES, 6) :: d_dev, d_model
-    real(dp) :: d_ratio(LANES)
-    integer :: i
+    type(pulled), intent(in) :: f(:)                     ! pulled back to the start of the increment
+    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
+    real(dp) :: dev(LANES, 5, N_COLUMNS), row(LANES, N_COLUMNS), inverse(LANES), inverse_S(LANES), by_mod_D(LANES), by_tr_D(LANES)
+    integer :: i, j
 
-    d_dev = times(factors%decay, rotate(factors%R(:, :, :, 0), change%dev))
-    do i = 1, N_NODES
-      d_model = vary_model(i, d_A(:, :, i), d_excess(:, i))
-      d_dev = d_dev + times(factors%weights(:, i), rotate(factors%R(:, :, :, i), d_model))
-    end do
-    d_dev = d_dev + times(factors%weights(:, AT_END), vary_model(AT_END, change%A, change%excess))
-    if (change%mod_D > 0) then
-      d_ratio = step%share * change%mod_D / par%elastic_strain
-      d_dev = d_dev - times(d_ratio, factors%turned(:, :, 0))
-      do i = 1, AT_END
-        d_dev = d_dev + times(factors%slopes(:, i) * d_ratio, factors%turned(:, :, i))
+    inverse = 1 / max(inc%mod_D, tiny(1.0_dp))
+    inverse_S = 1 / max(2 * modulus(inc%S_hat), tiny(1.0_dp))          ! of |S| over |D|
+    dev = 0
+    do i = 1, size(f)
+      by_mod_D = (f(i)%mod_D - inverse * (contract(f(i)%S_hat, inc%S_hat) + f(i)%tr_direction * inc%tr_direction)) / 2
+      by_tr_D = f(i)%tr_D + inverse * f(i)%tr_direction
+      row(:, :6) = six(f(i)%S + times(inverse, f(i)%S_hat) + times(inverse_S * f(i)%mod_S, inc%S_hat))
+      do j = 1, 6
+        row(:, j) = row(:, j) + by_mod_D * inc%direction(:, j)
+        if (j <= 3) row(:, j) = row(:, j) + by_tr_D
       end do
-    end if
-    if (any(abs(change%w) > 0)) then
-      d_dev = d_dev + turn_change(factors%w(:, :, 0), change%w, step%share, factors%turned(:, :, 0))
-      do i = 1, N_NODES
-        d_dev = d_dev + times(factors%weights(:, i), &
-          turn_change(factors%w(:, :, i), change%w, step%share * (1 - step%t(:, i)), factors%turned(:, :, i)))
-      end do
-    end if
-    change%dev = d_dev
-
-  contains
-
-    pure function vary_model(i, d_A, d_excess) result(d_model)
-      integer, intent(in) :: i
-      real(dp), intent(in) :: d_A(LANES, 6), d_excess(LANES)
-      real(dp) :: d_model(LANES, 6), d_p(LANES)
-      associate (by => factors%by(i), A => step%A(:, :, i))
-        d_p = by%A * contract(A, d_A) + by%trace * change%trace_direction + by%excess * d_excess
-        call change_stress_deviator(par, A, inc%S_hat, factors%p(:, i), factors%unit(:, :, i), d_A, change%S_hat, d_p, d_model)
-      end associate
-    end function vary_model
-
-  end subroutine vary_relaxation
-
-  !> Change of a tensor turned by w with a change share d_w.
-  pure function turn_change(w, d_w, share, turned) result(d_turned)
-    real(dp), intent(in) :: w(LANES, 3), d_w(3), share(LANES), turned(LANES, 6)
-    real(dp) :: d_turned(LANES, 6), d_spin(LANES, 3)
-    integer :: k
-
-    do k = 1, 3
-      d_spin(:, k) = share * d_w(k)
+      row(:, 7:) = f(i)%w
+      if (i < size(f)) dev(:, i, :) = row
     end do
-    d_turned = corotate(rotation_change(w, d_spin), turned)
-  end function turn_change
-
-  !> Change of the stress at the end of the increment, tension positive, with each seed.
-  pure subroutine stress_changes(par, inc, x, change, tangent)
-    type(material_parameters), intent(in) :: par
-    type(increment), intent(in) :: inc
-    type(internal), intent(in) :: x
-    type(variation), intent(in) :: change(:)             ! (n + 1), the last with |D|
-    real(dp), intent(out) :: tangent(:, :, :)            ! (LANES, 6, n)
-    real(dp) :: p(LANES), d_p(LANES), unit(LANES, 6), d_dev(LANES, 6), by_mod_D(LANES, 6), d_mod_D(LANES), one(LANES)
-    type(pressure_change) :: by
-    integer :: j, k
-
-    one = 1
-    by = pressure_slopes(par, x%A, inc%direction, x%excess)
-    unit = stress_deviator(par, x%A, inc%S_hat, one)
-    p = pressure(par, pressure_modulus(par, x%A, inc%direction), x%excess)
-    do j = size(change), 1, -1
-      associate (c => change(j))
-        d_p = by%A * contract(x%A, c%A) + by%trace * c%trace_direction + by%excess * c%excess
-        if (par%elastic_strain > 0) then
-          d_dev = c%dev
-        else if (c%reaches_fabric) then
-          call change_stress_deviator(par, x%A, inc%S_hat, p, unit, c%A, c%S_hat, d_p, d_dev)
-        else
-          d_dev = times(d_p, unit)
-        end if
-        do k = 1, 3
-          d_dev(:, k) = d_dev(:, k) - d_p
-        end do
-        if (c%mod_D > 0) then
-          by_mod_D = d_dev
-        else
-          d_mod_D = (project(inc%direction, c%S) + trace(inc%direction) * (c%tr_D / 3)) / 2
-          do k = 1, 6
-            tangent(:, k, j) = d_dev(:, k) + d_mod_D * by_mod_D(:, k)
-          end do
-        end if
-      end associate
+    do j = 1, N_COLUMNS
+      tangent(:, :, j) = add_identity(six(dev(:, :, j)), -row(:, j))
     end do
-  end subroutine stress_changes
+  end subroutine tangent_of
 
 end module granumat_tangent

@@ -1,14 +1,18 @@
 !> Tensors of LANES points at once, the points innermost, so that every formula is a vector instruction.
 !!
-!! Symmetric tensors are six components 11 22 33 12 13 23 (tensor shear components), spins three: W12 W13 W23.
+!! Symmetric tensors are six components 11 22 33 12 13 23 (tensor shear components), spins three: W12 W13 W23. Deviators are five
+!! in an orthonormal basis, (11 - 22)/sqrt(2), (2 33 - 11 - 22)/sqrt(6), and sqrt(2) times 12, 13, 23: X : Y is the plain product.
 module granumat_tensors
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: trace, deviator, contract, modulus, safe_modulus, times, product_symmetric, rotation, small_rotation, rotation_change, &
-    rotate, corotate, add_identity, strain_and_spin, times_spin
+  public :: trace, deviator, six, contract, modulus, safe_modulus, times, product_symmetric, product_deviator, product_matrix, &
+    rotation, small_rotation, spin_series, rotate, rotation_of_deviators, corotate, spin_moments, commute, add_identity, &
+    strain_and_spin, times_spin
 
   integer, parameter, public :: LANES = 8     ! one vector of AVX-512, two of AVX2, four of SSE2
+  real(dp), parameter, public :: SQRT_3 = sqrt(3.0_dp)
+  real(dp), parameter :: HALF_ROOT = sqrt(0.5_dp), SIXTH_ROOT = sqrt(1 / 6.0_dp)
 
 contains
 
@@ -29,48 +33,110 @@ contains
     R(:, 4:6) = T(:, 4:6)
   end function add_identity
 
+  !> The five components of T - (tr T / 3) I.
   pure function deviator(T) result(dev)
     real(dp), intent(in) :: T(LANES, 6)
-    real(dp) :: dev(LANES, 6)
-    dev = add_identity(T, -trace(T) / 3)
+    real(dp) :: dev(LANES, 5)
+    dev(:, 1) = HALF_ROOT * (T(:, 1) - T(:, 2))
+    dev(:, 2) = SIXTH_ROOT * (2 * T(:, 3) - T(:, 1) - T(:, 2))
+    dev(:, 3:) = 2 * HALF_ROOT * T(:, 4:)
   end function deviator
 
-  !> X : Y
+  !> The six components of a deviator.
+  pure function six(X) result(T)
+    real(dp), intent(in) :: X(LANES, 5)
+    real(dp) :: T(LANES, 6)
+    T(:, 1) = HALF_ROOT * X(:, 1) - SIXTH_ROOT * X(:, 2)
+    T(:, 2) = -HALF_ROOT * X(:, 1) - SIXTH_ROOT * X(:, 2)
+    T(:, 3) = 2 * SIXTH_ROOT * X(:, 2)
+    T(:, 4:) = HALF_ROOT * X(:, 3:)
+  end function six
+
+  !> X : Y of deviators
   pure function contract(X, Y) result(c)
-    real(dp), intent(in) :: X(LANES, 6), Y(LANES, 6)
+    real(dp), intent(in) :: X(LANES, 5), Y(LANES, 5)
     real(dp) :: c(LANES)
-    c = X(:, 1) * Y(:, 1) + X(:, 2) * Y(:, 2) + X(:, 3) * Y(:, 3) &
-      + 2 * (X(:, 4) * Y(:, 4) + X(:, 5) * Y(:, 5) + X(:, 6) * Y(:, 6))
+    c = X(:, 1) * Y(:, 1) + X(:, 2) * Y(:, 2) + X(:, 3) * Y(:, 3) + X(:, 4) * Y(:, 4) + X(:, 5) * Y(:, 5)
   end function contract
 
-  !> |T| = sqrt(T : T / 2), the paper's modulus.
-  pure function modulus(T) result(m)
-    real(dp), intent(in) :: T(LANES, 6)
+  !> |X| = sqrt(X : X / 2) of a deviator, the paper's modulus.
+  pure function modulus(X) result(m)
+    real(dp), intent(in) :: X(LANES, 5)
     real(dp) :: m(LANES)
-    m = sqrt(contract(T, T) / 2)
+    m = sqrt(contract(X, X) / 2)
   end function modulus
 
   !> |T|, safe from underflow and overflow.
   pure function safe_modulus(T) result(m)
     real(dp), intent(in) :: T(LANES, 6)
-    real(dp) :: m(LANES), size(LANES)
+    real(dp) :: m(LANES), size(LANES), inverse(LANES), total(LANES)
     integer :: k
     size = abs(T(:, 1))
     do k = 2, 6
       size = max(size, abs(T(:, k)))
     end do
-    m = size * modulus(times(1 / max(size, tiny(1.0_dp)), T))
+    inverse = 1 / max(size, tiny(1.0_dp))
+    total = 0
+    do k = 1, 6
+      total = total + merge(1, 2, k <= 3) * (inverse * T(:, k))**2
+    end do
+    m = size * sqrt(total / 2)
   end function safe_modulus
 
-  !> s T
-  pure function times(s, T) result(P)
-    real(dp), intent(in) :: s(LANES), T(LANES, 6)
-    real(dp) :: P(LANES, 6)
+  !> s X of a deviator
+  pure function times(s, X) result(P)
+    real(dp), intent(in) :: s(LANES), X(LANES, 5)
+    real(dp) :: P(LANES, 5)
     integer :: k
-    do k = 1, 6
-      P(:, k) = s * T(:, k)
+    do k = 1, 5
+      P(:, k) = s * X(:, k)
     end do
   end function times
+
+  !> The deviator of X Y + Y X.
+  pure function product_deviator(X, Y) result(P)
+    real(dp), intent(in) :: X(LANES, 5), Y(LANES, 5)
+    real(dp) :: P(LANES, 5)
+    P(:, 1) = HALF_ROOT * (X(:, 4) * Y(:, 4) - X(:, 5) * Y(:, 5)) - 2 * SIXTH_ROOT * (X(:, 1) * Y(:, 2) + X(:, 2) * Y(:, 1))
+    P(:, 2) = SIXTH_ROOT * (X(:, 4) * Y(:, 4) + X(:, 5) * Y(:, 5) &
+      + 2 * (X(:, 2) * Y(:, 2) - X(:, 1) * Y(:, 1) - X(:, 3) * Y(:, 3)))
+    P(:, 3) = HALF_ROOT * (X(:, 4) * Y(:, 5) + X(:, 5) * Y(:, 4)) - 2 * SIXTH_ROOT * (X(:, 2) * Y(:, 3) + X(:, 3) * Y(:, 2))
+    P(:, 4) = HALF_ROOT * (X(:, 1) * Y(:, 4) + X(:, 4) * Y(:, 1) + X(:, 3) * Y(:, 5) + X(:, 5) * Y(:, 3)) &
+      + SIXTH_ROOT * (X(:, 2) * Y(:, 4) + X(:, 4) * Y(:, 2))
+    P(:, 5) = HALF_ROOT * (X(:, 3) * Y(:, 4) + X(:, 4) * Y(:, 3) - X(:, 1) * Y(:, 5) - X(:, 5) * Y(:, 1)) &
+      + SIXTH_ROOT * (X(:, 2) * Y(:, 5) + X(:, 5) * Y(:, 2))
+  end function product_deviator
+
+  !> The symmetric matrix of Y -> the deviator of X Y + Y X.
+  pure function product_matrix(X) result(M)
+    real(dp), intent(in) :: X(LANES, 5)
+    real(dp) :: M(LANES, 5, 5)
+    M(:, 1, 1) = -2 * SIXTH_ROOT * X(:, 2)
+    M(:, 2, 1) = -2 * SIXTH_ROOT * X(:, 1)
+    M(:, 3, 1) = 0
+    M(:, 4, 1) = HALF_ROOT * X(:, 4)
+    M(:, 5, 1) = -HALF_ROOT * X(:, 5)
+    M(:, 1, 2) = M(:, 2, 1)
+    M(:, 2, 2) = 2 * SIXTH_ROOT * X(:, 2)
+    M(:, 3, 2) = -2 * SIXTH_ROOT * X(:, 3)
+    M(:, 4, 2) = SIXTH_ROOT * X(:, 4)
+    M(:, 5, 2) = SIXTH_ROOT * X(:, 5)
+    M(:, 1, 3) = 0
+    M(:, 2, 3) = M(:, 3, 2)
+    M(:, 3, 3) = M(:, 1, 1)
+    M(:, 4, 3) = HALF_ROOT * X(:, 5)
+    M(:, 5, 3) = HALF_ROOT * X(:, 4)
+    M(:, 1, 4) = M(:, 4, 1)
+    M(:, 2, 4) = M(:, 4, 2)
+    M(:, 3, 4) = M(:, 4, 3)
+    M(:, 4, 4) = HALF_ROOT * X(:, 1) + SIXTH_ROOT * X(:, 2)
+    M(:, 5, 4) = HALF_ROOT * X(:, 3)
+    M(:, 1, 5) = M(:, 5, 1)
+    M(:, 2, 5) = M(:, 5, 2)
+    M(:, 3, 5) = M(:, 5, 3)
+    M(:, 4, 5) = M(:, 5, 4)
+    M(:, 5, 5) = -HALF_ROOT * X(:, 1) + SIXTH_ROOT * X(:, 2)
+  end function product_matrix
 
   !> X Y + Y X
   pure function product_symmetric(X, Y) result(P)
@@ -84,17 +150,27 @@ contains
     P(:, 6) = X(:, 4) * Y(:, 5) + X(:, 2) * Y(:, 6) + X(:, 6) * Y(:, 3) + Y(:, 4) * X(:, 5) + Y(:, 2) * X(:, 6) + Y(:, 6) * X(:, 3)
   end function product_symmetric
 
-  !> W T - T W, the rate of a tensor carried along by the spin w.
-  pure function corotate(w, T) result(dot_T)
-    real(dp), intent(in) :: w(LANES, 3), T(LANES, 6)
-    real(dp) :: dot_T(LANES, 6)
-    dot_T(:, 1) = 2 * (w(:, 1) * T(:, 4) + w(:, 2) * T(:, 5))
-    dot_T(:, 2) = 2 * (w(:, 3) * T(:, 6) - w(:, 1) * T(:, 4))
-    dot_T(:, 3) = -2 * (w(:, 2) * T(:, 5) + w(:, 3) * T(:, 6))
-    dot_T(:, 4) = w(:, 1) * (T(:, 2) - T(:, 1)) + w(:, 2) * T(:, 6) + w(:, 3) * T(:, 5)
-    dot_T(:, 5) = w(:, 2) * (T(:, 3) - T(:, 1)) + w(:, 1) * T(:, 6) - w(:, 3) * T(:, 4)
-    dot_T(:, 6) = w(:, 3) * (T(:, 3) - T(:, 2)) - w(:, 1) * T(:, 5) - w(:, 2) * T(:, 4)
+  !> W X - X W, the rate of a deviator carried along by the spin w.
+  pure function corotate(w, X) result(dot_X)
+    real(dp), intent(in) :: w(LANES, 3), X(LANES, 5)
+    real(dp) :: dot_X(LANES, 5)
+    dot_X(:, 1) = 2 * w(:, 1) * X(:, 3) + w(:, 2) * X(:, 4) - w(:, 3) * X(:, 5)
+    dot_X(:, 2) = -SQRT_3 * (w(:, 2) * X(:, 4) + w(:, 3) * X(:, 5))
+    dot_X(:, 3) = -2 * w(:, 1) * X(:, 1) + w(:, 2) * X(:, 5) + w(:, 3) * X(:, 4)
+    dot_X(:, 4) = w(:, 2) * (SQRT_3 * X(:, 2) - X(:, 1)) + w(:, 1) * X(:, 5) - w(:, 3) * X(:, 3)
+    dot_X(:, 5) = w(:, 3) * (SQRT_3 * X(:, 2) + X(:, 1)) - w(:, 1) * X(:, 4) - w(:, 2) * X(:, 3)
   end function corotate
+
+  !> What Y : (W X - X W) changes by with each component of the spin.
+  pure function spin_moments(Y, X) result(m)
+    real(dp), intent(in) :: Y(LANES, 5), X(LANES, 5)
+    real(dp) :: m(LANES, 3)
+    m(:, 1) = 2 * (Y(:, 1) * X(:, 3) - Y(:, 3) * X(:, 1)) + Y(:, 4) * X(:, 5) - Y(:, 5) * X(:, 4)
+    m(:, 2) = (Y(:, 1) - SQRT_3 * Y(:, 2)) * X(:, 4) + Y(:, 3) * X(:, 5) &
+      + Y(:, 4) * (SQRT_3 * X(:, 2) - X(:, 1)) - Y(:, 5) * X(:, 3)
+    m(:, 3) = Y(:, 3) * X(:, 4) - (Y(:, 1) + SQRT_3 * Y(:, 2)) * X(:, 5) &
+      + Y(:, 5) * (SQRT_3 * X(:, 2) + X(:, 1)) - Y(:, 4) * X(:, 3)
+  end function spin_moments
 
   !> exp(W)
   pure function rotation(w) result(R)
@@ -137,16 +213,6 @@ contains
     R(:, 2, 3) = second * y * z - first * x
     R(:, 3, 2) = second * y * z + first * x
   end function rotation_of
-
-  !> The spin v with dR = V R for R = small_rotation(w) and a change d_w.
-  pure function rotation_change(w, d_w) result(v)
-    real(dp), intent(in) :: w(LANES, 3), d_w(LANES, 3)
-    real(dp) :: v(LANES, 3), second(LANES), third(LANES), once(LANES, 3)
-
-    call spin_series(w, second, third)
-    once = commute(w, d_w)
-    v = d_w + times_spin(second, once) + times_spin(third, commute(w, once))
-  end function rotation_change
 
   !> (1 - cos(a))/a^2 and (a - sin(a))/a^3 for the angle a of w, to round-off for a <= 0.2.
   pure subroutine spin_series(w, second, third)
@@ -193,6 +259,39 @@ contains
     rotated(:, 5) = RT(:, 1, 1) * R(:, 3, 1) + RT(:, 1, 2) * R(:, 3, 2) + RT(:, 1, 3) * R(:, 3, 3)
     rotated(:, 6) = RT(:, 2, 1) * R(:, 3, 1) + RT(:, 2, 2) * R(:, 3, 2) + RT(:, 2, 3) * R(:, 3, 3)
   end function rotate
+
+  !> The matrix by which the five components of a deviator turn: X -> R X R^T.
+  pure function rotation_of_deviators(R) result(M)
+    real(dp), intent(in) :: R(LANES, 3, 3)
+    real(dp) :: M(LANES, 5, 5), first(LANES, 5), second(LANES, 5), third(LANES, 5)
+    integer, parameter :: AXES(2, 3) = reshape([1, 2, 1, 3, 2, 3], [2, 3])
+    integer :: k
+
+    first = dyad(1, 1)
+    second = dyad(2, 2)
+    third = dyad(3, 3)
+    M(:, :, 1) = HALF_ROOT * (first - second)
+    M(:, :, 2) = SIXTH_ROOT * (2 * third - first - second)
+    do k = 1, 3
+      M(:, :, 2 + k) = 2 * HALF_ROOT * dyad(AXES(1, k), AXES(2, k))
+    end do
+
+  contains
+
+    !> Of two columns of R, the deviator of their symmetric dyad.
+    pure function dyad(a, b) result(X)
+      integer, intent(in) :: a, b
+      real(dp) :: X(LANES, 5), xx(LANES), yy(LANES)
+      xx = R(:, 1, a) * R(:, 1, b)
+      yy = R(:, 2, a) * R(:, 2, b)
+      X(:, 1) = HALF_ROOT * (xx - yy)
+      X(:, 2) = SIXTH_ROOT * (2 * R(:, 3, a) * R(:, 3, b) - xx - yy)
+      X(:, 3) = HALF_ROOT * (R(:, 1, a) * R(:, 2, b) + R(:, 2, a) * R(:, 1, b))
+      X(:, 4) = HALF_ROOT * (R(:, 1, a) * R(:, 3, b) + R(:, 3, a) * R(:, 1, b))
+      X(:, 5) = HALF_ROOT * (R(:, 2, a) * R(:, 3, b) + R(:, 3, a) * R(:, 2, b))
+    end function dyad
+
+  end function rotation_of_deviators
 
   !> Strain (engineering shears) and spin of displacement gradients G(j, i) = du_i/dx_j, laid out as C and numpy have them.
   pure subroutine strain_and_spin(G, strain, spin)

@@ -12,7 +12,7 @@ module granumat_umat
     KINEMATIC
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_stress, only: evaluate
-  use granumat_tangent, only: N_SEEDS
+  use granumat_tangent, only: N_COLUMNS, PULLED_IN_SPACE, PULLED_IN_PLANE
   use granumat_tensors, only: LANES, product_symmetric, rotate
   use granumat_update, only: update
   implicit none (type, external)
@@ -68,9 +68,8 @@ contains
     type(material_parameters) :: par
     type(material_state) :: old, new(1)
     type(lane_state) :: x, x_new
-    real(dp) :: given(N_PROPS), strain(6), spin(3), seeds(N_SEEDS, 6), tangent(LANES, 6, 6), R(3, 3), back(3, 3)
+    real(dp) :: given(N_PROPS), strain(6), spin(3), tangent(LANES, 6, N_COLUMNS), slope(6, 6), unit(6), R(3, 3), back(3, 3)
     integer :: lane_status(LANES), n, j
-    logical :: unrotated
 
     n = size(stress)
     call read_properties(props, given, par, status)
@@ -78,19 +77,10 @@ contains
     if (status == OK) call read_increment(nint(given(P_SPIN)), dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
     if (status == OK) call read_state(par, given, stress, statev, old, status)
     if (status == OK) then
-      unrotated = nint(given(P_SPIN)) >= SPIN_UNROTATED
-      seeds = 0
-      do j = 1, n
-        seeds(j, j) = 1
-      end do
-      if (unrotated) then
-        R = polar_rotation(dfgrd1)
-        do j = 1, n
-          seeds(:6, j) = turned_strain(R, seeds(:6, j))
-        end do
-      end if
       call gather([old], x)
-      call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, seeds(:, :n), tangent(:, :, :n))
+      call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, &
+        merge(PULLED_IN_PLANE, PULLED_IN_SPACE, n == 4), tangent)
+      slope = tangent(1, :, :6)
       status = lane_status(1)
     end if
     if (status == OK) then
@@ -98,16 +88,19 @@ contains
       if (.not. statev(S_SENTINEL) > 0) statev(S_WORK) = 0
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
       call write_state(new(1), statev)
-      if (unrotated) then
+      if (nint(given(P_SPIN)) >= SPIN_UNROTATED) then
+        R = polar_rotation(dfgrd1)
         back = transpose(R)
         new(1)%stress = turned(back, new(1)%stress)
         do j = 1, n
-          tangent(1, :, j) = turned(back, tangent(1, :, j))
+          unit = 0
+          unit(j) = 1
+          slope(:, j) = turned(back, matmul(tangent(1, :, :6), turned_strain(R, unit)))
         end do
-        if (nint(given(P_SPIN)) == SPIN_CALCULIX) call take_to_reference(dfgrd1, new(1)%stress, tangent(1, :, :n))
+        if (nint(given(P_SPIN)) == SPIN_CALCULIX) call take_to_reference(dfgrd1, new(1)%stress, slope(:, :n))
       end if
       stress = given(P_STIFFNESS) * new(1)%stress(:n)
-      ddsdde = given(P_STIFFNESS) * tangent(1, :n, :n)
+      ddsdde = given(P_STIFFNESS) * slope(:n, :n)
     else
       call stiffness_of_failure(props, ddsdde)
     end if

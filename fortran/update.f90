@@ -6,17 +6,18 @@ module granumat_update
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, small_rotation, times, times_spin
+  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, rotation_of_deviators, six, &
+    small_rotation, times, times_spin
   use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
   use granumat_fabric, only: fabric_at, fabric_rate, projections_at, solve_fabric
   use granumat_coordination, only: N_NODES, exponential, integrate_coordination, nodes
-  use granumat_stress, only: pressure, pressure_modulus
+  use granumat_stress, only: pressure, pressure_modulus, stress_deviator
   use granumat_relaxation, only: relaxation_weights
-  use granumat_increment, only: increment, inner_solution, internal, to_increment
+  use granumat_increment, only: AT_END, add_step, increment, inner_solution, inner_start, internal, to_increment, trail
   use granumat_rates, only: imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
   use granumat_methods, only: integrate_by_method, MAX_STEPS
-  use granumat_tangent, only: N_SEEDS, variation, start_variations, stress_changes, vary_inner_step
+  use granumat_tangent, only: N_COLUMNS, pulled, pull_inner_step, start_pulling, tangent_of
   implicit none (type, external)
   private
   public :: update
@@ -31,15 +32,15 @@ module granumat_update
 contains
 
   !> Brings states over their strain increments. Where the status is not OK, the new state is the old one, the tangent 0.
-  pure subroutine update(par, old, strain, spin, new, status, seeds, tangent)
+  pure subroutine update(par, old, strain, spin, new, status, n_pulled, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)    ! increments: 11 22 33 and engineering shears 12 13 23
     real(dp), intent(in) :: spin(LANES, 3)      ! increments of W12 W13 W23, W_ij = (du_i/dx_j - du_j/dx_i)/2
     type(lane_state), intent(out) :: new
     integer, intent(out) :: status(LANES)
-    real(dp), intent(in), optional :: seeds(:, :)          ! (N_SEEDS, n): changes of strain and spin, as above
-    real(dp), intent(out), optional :: tangent(:, :, :)    ! (LANES, 6, n): change of the stress with each of them
+    integer, intent(in), optional :: n_pulled              ! PULLED_IN_SPACE, or PULLED_IN_PLANE where stresses 13 23 do not matter
+    real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS)    ! change of the stress with each strain and spin, as above
     type(increment) :: inc
     logical :: moves(LANES)
 
@@ -49,7 +50,7 @@ contains
     moves = inc%mod_D > 0
     if (present(tangent)) then
       if (.not. all(moves)) call to_increment(merge_strain(old, strain, moves), spin, status == OK, inc)
-      call deform_with_tangent(par, old, inc, new, status, seeds, tangent)
+      call deform_with_tangent(par, old, inc, new, status, n_pulled, tangent)
     else if (par%spin == BEFORE) then
       call deform(par, turned(old, inc%spin), without_spin(inc, inc%mod_D >= 0), new, status)
     else
@@ -61,24 +62,21 @@ contains
   end subroutine update
 
   !> The tangent is that of the exact update, whatever the method; of a small strain at D = 0.
-  pure subroutine deform_with_tangent(par, old, inc, new, status, seeds, tangent)
+  pure subroutine deform_with_tangent(par, old, inc, new, status, n_pulled, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
-    real(dp), intent(in) :: seeds(:, :)
-    real(dp), intent(out) :: tangent(:, :, :)
+    integer, intent(in) :: n_pulled
+    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
     type(material_parameters) :: exactly
-    type(variation) :: change(N_SEEDS + 1)
-    integer :: exact_status(LANES), i, n
+    integer :: exact_status(LANES), i
 
     exactly = par
     exactly%method = EXACT
     exact_status = status
-    n = size(seeds, 2) + 1
-    call start_variations(inc, seeds, change(:n))
-    call deform(exactly, old, inc, new, exact_status, change(:n), tangent)
+    call deform(exactly, old, inc, new, exact_status, n_pulled, tangent)
     do i = 1, LANES
       if (exact_status(i) /= OK) tangent(i, :, :) = 0
     end do
@@ -100,7 +98,7 @@ contains
     logical :: fresh(LANES)
     integer :: k
 
-    fresh = modulus(old%direction) <= 0
+    fresh = sum(abs(old%direction), 2) <= 0
     do k = 1, 6
       direction = old%direction(:, k)
       if (k <= 3) direction = merge(-sqrt(2.0_dp / 3), direction, fresh)
@@ -165,38 +163,64 @@ contains
   end function without_spin
 
   !> D /= 0.
-  pure subroutine deform(par, old, inc, new, status, change, tangent)
+  pure subroutine deform(par, old, inc, new, status, n_pulled, tangent)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
-    type(variation), intent(inout), optional :: change(:)
-    real(dp), intent(out), optional :: tangent(:, :, :)
+    integer, intent(in), optional :: n_pulled
+    real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS)
     type(internal) :: x
+    type(trail) :: steps
     real(dp) :: factor(LANES)
 
-    x%A = old%fabric
+    x%A = deviator(old%fabric)
     x%excess = old%coordination_number - par%Zc
     x%phi = old%volume_fraction
     x%dev = deviator(old%stress)
     if (par%method == EXACT) then
       new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
       where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
-      call integrate_exactly(par, inc, x, status, change)
+      steps%whole = present(tangent)
+      call integrate_exactly(par, inc, x, status, steps)
+      if (present(tangent)) call pull_back(par, inc, x, steps, n_pulled, tangent)
     else
       call integrate_otherwise(par, inc, x, status)
       new%volume_fraction = x%phi
     end if
-    factor = pressure_modulus(par, x%A, inc%direction)
+    factor = pressure_modulus(par, x%A, inc%tr_direction)
+    new%fabric = six(x%A)
     where (status == OK .and. factor < 0) status = TENSILE_PRESSURE
-    where (status == OK .and. .not. is_realisable(x%A)) status = FABRIC_BLOWS_UP
-    new%fabric = x%A
+    where (status == OK .and. .not. is_realisable(new%fabric)) status = FABRIC_BLOWS_UP
     new%coordination_number = par%Zc + x%excess
     new%direction = inc%direction
-    new%stress = add_identity(x%dev, -pressure(par, factor, x%excess))
-    if (present(tangent)) call stress_changes(par, inc, x, change, tangent)
+    new%stress = add_identity(six(x%dev), -pressure(par, factor, x%excess))
   end subroutine deform
+
+  !> The tangent, from the inner steps: all but the last are solved again.
+  pure subroutine pull_back(par, inc, x, steps, n_pulled, tangent)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal), intent(in) :: x                  ! at the end
+    type(trail), intent(inout) :: steps
+    integer, intent(in) :: n_pulled
+    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
+    type(pulled) :: f(n_pulled)
+    type(internal) :: again
+    integer :: i, status(LANES)
+
+    call start_pulling(par, inc, x, f)
+    do i = steps%steps, 1, -1
+      if (i < steps%steps) then
+        again = steps%earlier(i)%x
+        status = OK
+        call inner_step(par, inc, steps%earlier(i)%share, steps%earlier(i)%e_end, again, steps%solution, status)
+      end if
+      call pull_inner_step(par, inc, steps%solution, f)
+    end do
+    call tangent_of(inc, f, tangent)
+  end subroutine pull_back
 
   !> By the method of the parameters.
   pure subroutine integrate_otherwise(par, inc, x, status)
@@ -206,12 +230,12 @@ contains
     integer, intent(inout) :: status(LANES)
     real(dp) :: y(LANES, N_EVOLVING)
 
-    y(:, :6) = x%A
+    y(:, :5) = x%A
     y(:, I_EXCESS) = x%excess
     y(:, I_PHI) = x%phi
     y(:, I_DEV:) = x%dev
     call integrate_by_method(par, without_spin(inc, .not. inc%mod_D > 0), y, status)      ! see turn
-    x%A = y(:, :6)
+    x%A = y(:, :5)
     x%excess = y(:, I_EXCESS)
     x%phi = y(:, I_PHI)
     x%dev = y(:, I_DEV:)
@@ -219,33 +243,31 @@ contains
   end subroutine integrate_otherwise
 
   !> Splits the increment where phi crosses phic, and each part into inner steps.
-  pure subroutine integrate_exactly(par, inc, x, status, change)
+  pure subroutine integrate_exactly(par, inc, x, status, steps)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
-    type(variation), intent(inout), optional :: change(:)
+    type(trail), intent(inout) :: steps
     real(dp), dimension(LANES) :: e_end, crossing
 
     x%e = log(merge(x%phi / par%phic, 2.0_dp, status == OK))
     e_end = x%e - inc%tr_D
     crossing = 1
     where (x%e * e_end < 0) crossing = x%e / inc%tr_D
-    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status, change)
-    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status, change)
+    call integrate(par, inc, crossing, merge(0.0_dp, e_end, crossing < 1), x, status, steps)
+    if (any(crossing < 1)) call integrate(par, inc, 1 - crossing, e_end, x, status, steps)
   end subroutine integrate_exactly
 
   !> Inner steps over the given share of the increment; phi stays on one side of phic.
-  pure subroutine integrate(par, inc, share, e_end, x, status, change)
+  pure subroutine integrate(par, inc, share, e_end, x, status, trodden)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES), e_end(LANES)
     type(internal), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
-    type(variation), intent(inout), optional :: change(:)
+    type(trail), intent(inout) :: trodden
     real(dp), dimension(LANES) :: rest, next_rest, rate, steps, e_start, e_next, mod_A
-    real(dp) :: dev_before(LANES, 6)
-    type(inner_solution) :: inner
     integer :: step
 
     mod_A = modulus(x%A)
@@ -259,9 +281,8 @@ contains
       steps = rest * graded_rate(par, inc, x, mod_A, rate, e_end) / STEP_RATE
       next_rest = rest - rest / aint(1 + min(steps, real(MAX_STEPS, dp)))
       e_next = e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end)
-      dev_before = x%dev
-      call inner_step(par, inc, rest - next_rest, e_next, x, inner, status)
-      if (present(change)) call vary_inner_step(par, inc, dev_before, inner, change)
+      call add_step(trodden, inner_start(x, rest - next_rest, e_next))
+      call inner_step(par, inc, rest - next_rest, e_next, x, trodden%solution, status)
       rest = merge(next_rest, 0.0_dp, status == OK)
       mod_A = modulus(x%A)
     end do
@@ -331,7 +352,7 @@ contains
       do i = 1, N_NODES
         call imply(par, inc, step%phi(:, i), step%A(:, :, i), step%excess(:, i))
       end do
-      call imply(par, inc, x%phi, step%A(:, :, N_NODES + 1), step%excess(:, N_NODES + 1))
+      call imply(par, inc, x%phi, step%A(:, :, AT_END), step%excess(:, AT_END))
     else
       call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
       call projections_at(par, step%fabric, step%t, step%y, step%A_S)
@@ -341,14 +362,14 @@ contains
         end do
       end if
       one = 1
-      call fabric_at(step%fabric, one, step%A(:, :, N_NODES + 1), step%y_end)
-      where (status == OK .and. .not. (step%y_end > 0 .and. modulus(step%A(:, :, N_NODES + 1)) < REALISABLE)) &
+      call fabric_at(step%fabric, one, step%A(:, :, AT_END), step%y_end)
+      where (status == OK .and. .not. (step%y_end > 0 .and. modulus(step%A(:, :, AT_END)) < REALISABLE)) &
         status = FABRIC_BLOWS_UP
       call integrate_coordination(par, x%excess, step%A_S, modulus(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
         par%elastic_strain > 0, step%growth, step%integrand, step%excess)
     end if
-    x%A = step%A(:, :, N_NODES + 1)
-    x%excess = step%excess(:, N_NODES + 1)
+    x%A = step%A(:, :, AT_END)
+    x%excess = step%excess(:, AT_END)
     if (par%elastic_strain > 0) then
       call relax(par, inc, step, x%dev)
     else
@@ -360,20 +381,41 @@ contains
   pure subroutine relax(par, inc, step, dev)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
-    type(inner_solution), intent(in) :: step
-    real(dp), intent(inout) :: dev(LANES, 6)
-    real(dp) :: ratio(LANES), u(LANES, N_NODES + 1), weights(LANES, N_NODES + 1)
+    type(inner_solution), intent(inout) :: step
+    real(dp), intent(inout) :: dev(LANES, 5)
+    real(dp) :: ratio(LANES), u(LANES, AT_END), one(LANES)
     integer :: i
 
+    one = 1
     ratio = step%mod_D / par%elastic_strain
     u(:, :N_NODES) = 1 - step%t
-    u(:, N_NODES + 1) = 0
-    weights = relaxation_weights(ratio, u)
-    dev = times(exp(-ratio), rotate(small_rotation(step%w), dev))
-    do i = 1, N_NODES + 1
-      dev = dev + times(weights(:, i), rotate(small_rotation(times_spin(u(:, i), step%w)), &
-        model_deviator(par, inc, step%A(:, :, i), step%excess(:, i))))
+    u(:, AT_END) = 0
+    step%weights(:, 0) = exp(-ratio)
+    step%weights(:, 1:) = relaxation_weights(ratio, u)
+    step%R(:, :, :, 0) = rotation_of_deviators(small_rotation(step%w))
+    dev = times(step%weights(:, 0), turned_by(step%R(:, :, :, 0), dev))
+    step%turned(:, :, 0) = dev
+    do i = 1, AT_END
+      step%p(:, i) = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%tr_direction), step%excess(:, i))
+      step%unit(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
+      step%turned(:, :, i) = times(step%p(:, i), step%unit(:, :, i))
+      if (i < AT_END) then
+        step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
+        step%turned(:, :, i) = turned_by(step%R(:, :, :, i), step%turned(:, :, i))
+      end if
+      dev = dev + times(step%weights(:, i), step%turned(:, :, i))
     end do
   end subroutine relax
+
+  !> R X
+  pure function turned_by(R, X) result(turned)
+    real(dp), intent(in) :: R(LANES, 5, 5), X(LANES, 5)
+    real(dp) :: turned(LANES, 5)
+    integer :: j
+    turned = times(X(:, 1), R(:, :, 1))
+    do j = 2, 5
+      turned = turned + times(X(:, j), R(:, :, j))
+    end do
+  end function turned_by
 
 end module granumat_update
