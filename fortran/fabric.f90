@@ -22,13 +22,13 @@ module granumat_fabric
     real(dp) :: spin(LANES, 3)
   end type fabric_matrix
 
-  !> The derivatives of B and y at t = 0, 0 <= t <= 1 over the increment.
+  !> The coefficients of B and y as power series in t, 0 <= t <= 1 over the increment.
   type, public :: fabric_solution
     integer :: terms
     type(fabric_matrix) :: matrix
     real(dp) :: B(LANES, 5, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
     real(dp) :: bound(LANES, 0:MAX_TERMS)      ! of the terms of their series over the solution, at t = 1
-    real(dp) :: weight(LANES, 0:MAX_TERMS)     ! 1/k!, 0 from where a lane needs no more
+    real(dp) :: factor(LANES, MAX_TERMS)       ! 1/k, 0 from where a lane needs no more
   end type fabric_solution
 
 contains
@@ -49,7 +49,7 @@ contains
     real(dp), intent(in) :: mod_D(LANES)     ! |D| of the strain increment
     real(dp), intent(in) :: w(LANES, 3)      ! spin increment
     type(fabric_solution), intent(out) :: solution
-    real(dp) :: rate(LANES), inverse_factorial
+    real(dp) :: rate(LANES)
     integer :: k
 
     rate = fabric_rate(par, mod_D, w)
@@ -57,46 +57,44 @@ contains
     solution%B(:, :, 0) = A
     solution%y(:, 0) = 1
     solution%bound(:, 0) = 1
-    solution%weight(:, 0) = 1
-    inverse_factorial = 1
     do k = 1, MAX_TERMS
-      call differentiate(solution%matrix, solution%B(:, :, k - 1), solution%y(:, k - 1), solution%B(:, :, k), solution%y(:, k))
-      inverse_factorial = inverse_factorial / k
-      solution%weight(:, k) = merge(inverse_factorial, 0.0_dp, solution%bound(:, k - 1) >= SERIES_REST)
+      solution%factor(:, k) = merge(1.0_dp / k, 0.0_dp, solution%bound(:, k - 1) >= SERIES_REST)
+      call next_term(solution%matrix, solution%factor(:, k), solution%B(:, :, k - 1), solution%y(:, k - 1), &
+        solution%B(:, :, k), solution%y(:, k))
       solution%bound(:, k) = solution%bound(:, k - 1) * (rate / k)
       solution%terms = k
       if (all(solution%bound(:, k) < SERIES_REST)) exit
     end do
   end subroutine solve_fabric
 
-  !> The derivative of (B, y), in one fused loop: the hottest of all.
-  pure subroutine differentiate(matrix, B, y, dot_B, dot_y)
+  !> The matrix times (B, y), times a factor, in one fused loop: hot.
+  pure subroutine next_term(matrix, factor, B, y, next_B, next_y)
     type(fabric_matrix), intent(in) :: matrix
-    real(dp), intent(in) :: B(LANES, 5), y(LANES)
-    real(dp), intent(out) :: dot_B(LANES, 5), dot_y(LANES)
+    real(dp), intent(in) :: factor(LANES), B(LANES, 5), y(LANES)
+    real(dp), intent(out) :: next_B(LANES, 5), next_y(LANES)
     real(dp) :: decay, source, w1, w2, w3, B1, B2, B3, B4, B5
     integer :: i
 
     do i = 1, LANES
+      B1 = factor(i) * B(i, 1)
+      B2 = factor(i) * B(i, 2)
+      B3 = factor(i) * B(i, 3)
+      B4 = factor(i) * B(i, 4)
+      B5 = factor(i) * B(i, 5)
+      source = matrix%source * factor(i) * y(i)
       decay = matrix%decay(i)
-      source = matrix%source * y(i)
       w1 = matrix%spin(i, 1)
       w2 = matrix%spin(i, 2)
       w3 = matrix%spin(i, 3)
-      B1 = B(i, 1)
-      B2 = B(i, 2)
-      B3 = B(i, 3)
-      B4 = B(i, 4)
-      B5 = B(i, 5)
-      dot_y(i) = matrix%sink * (matrix%S(i, 1) * B1 + matrix%S(i, 2) * B2 + matrix%S(i, 3) * B3 + matrix%S(i, 4) * B4 &
+      next_y(i) = matrix%sink * (matrix%S(i, 1) * B1 + matrix%S(i, 2) * B2 + matrix%S(i, 3) * B3 + matrix%S(i, 4) * B4 &
         + matrix%S(i, 5) * B5)
-      dot_B(i, 1) = source * matrix%S(i, 1) + decay * B1 + 2 * w1 * B3 + w2 * B4 - w3 * B5
-      dot_B(i, 2) = source * matrix%S(i, 2) + decay * B2 - SQRT_3 * (w2 * B4 + w3 * B5)
-      dot_B(i, 3) = source * matrix%S(i, 3) + decay * B3 - 2 * w1 * B1 + w2 * B5 + w3 * B4
-      dot_B(i, 4) = source * matrix%S(i, 4) + decay * B4 + w2 * (SQRT_3 * B2 - B1) + w1 * B5 - w3 * B3
-      dot_B(i, 5) = source * matrix%S(i, 5) + decay * B5 + w3 * (SQRT_3 * B2 + B1) - w1 * B4 - w2 * B3
+      next_B(i, 1) = source * matrix%S(i, 1) + decay * B1 + 2 * w1 * B3 + w2 * B4 - w3 * B5
+      next_B(i, 2) = source * matrix%S(i, 2) + decay * B2 - SQRT_3 * (w2 * B4 + w3 * B5)
+      next_B(i, 3) = source * matrix%S(i, 3) + decay * B3 - 2 * w1 * B1 + w2 * B5 + w3 * B4
+      next_B(i, 4) = source * matrix%S(i, 4) + decay * B4 + w2 * (SQRT_3 * B2 - B1) + w1 * B5 - w3 * B3
+      next_B(i, 5) = source * matrix%S(i, 5) + decay * B5 + w3 * (SQRT_3 * B2 + B1) - w1 * B4 - w2 * B3
     end do
-  end subroutine differentiate
+  end subroutine next_term
 
   !> y (positive as long as the fabric has not blown up) and A:S = -y'/(c3 y) at the nodes.
   pure subroutine projections_at(par, solution, t, y, A_S)
@@ -107,12 +105,12 @@ contains
     real(dp) :: y_i(N_NODES), dot_y(N_NODES), term
     integer :: i, j, k
 
-    do i = 1, LANES                            ! vectorised, as the loop over the terms surely runs: see sum_series
+    do i = 1, LANES                            ! vectorised, with the sums in registers, as the loop over the terms surely runs
       y_i = 0
       dot_y = 0
       k = solution%terms
       do
-        term = solution%weight(i, k) * solution%y(i, k)
+        term = solution%y(i, k)
         do j = 1, N_NODES
           dot_y(j) = dot_y(j) * t(i, j) + y_i(j)
           y_i(j) = y_i(j) * t(i, j) + term
@@ -130,18 +128,17 @@ contains
     type(fabric_solution), intent(in) :: solution
     real(dp), intent(in) :: t(LANES)
     real(dp), intent(out) :: A(LANES, 5), y(LANES)
-    real(dp) :: total(6), term
+    real(dp) :: total(6)
     integer :: i, j, k
 
-    do i = 1, LANES                            ! vectorised with the sums in registers, as the loop over the terms surely runs
+    do i = 1, LANES                            ! vectorised as above
       total = 0
       k = solution%terms
       do
-        term = solution%weight(i, k)
         do j = 1, 5
-          total(j) = total(j) * t(i) + term * solution%B(i, j, k)
+          total(j) = total(j) * t(i) + solution%B(i, j, k)
         end do
-        total(6) = total(6) * t(i) + term * solution%y(i, k)
+        total(6) = total(6) * t(i) + solution%y(i, k)
         k = k - 1
         if (k < 0) exit
       end do
@@ -158,8 +155,8 @@ contains
     integer, intent(in) :: terms
     real(dp), intent(in) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS)
     real(dp), intent(out) :: by_A(LANES, 5), by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3)
-    real(dp) :: q1, q2, q3, q4, q5, q_y, n1, n2, n3, n4, B1, B2, B3, B4, B5, S1, S2, S3, S4, S5, y, decay, w1, w2, w3, sink
-    real(dp) :: source1, source2, source3, source4, source5, sink1, sink2, sink3, sink4, sink5, total, turn1, turn2, turn3
+    real(dp) :: q1, q2, q3, q4, q5, q_y, x1, x2, x3, x4, x5, x_y, B1, B2, B3, B4, B5, S1, S2, S3, S4, S5
+    real(dp) :: decay, w1, w2, w3, source, sink, from_S1, from_S2, from_S3, from_S4, from_S5, from_decay, turn1, turn2, turn3
     integer :: i, k
 
     do i = 1, LANES                            ! vectorised as above
@@ -178,67 +175,59 @@ contains
       q4 = g_B(i, 4, terms)
       q5 = g_B(i, 5, terms)
       q_y = g_y(i, terms)
-      source1 = 0
-      source2 = 0
-      source3 = 0
-      source4 = 0
-      source5 = 0
-      sink1 = 0
-      sink2 = 0
-      sink3 = 0
-      sink4 = 0
-      sink5 = 0
-      total = 0
+      from_S1 = 0
+      from_S2 = 0
+      from_S3 = 0
+      from_S4 = 0
+      from_S5 = 0
+      from_decay = 0
       turn1 = 0
       turn2 = 0
       turn3 = 0
-      k = terms - 1
+      k = terms
       do
+        x1 = solution%factor(i, k) * q1
+        x2 = solution%factor(i, k) * q2
+        x3 = solution%factor(i, k) * q3
+        x4 = solution%factor(i, k) * q4
+        x5 = solution%factor(i, k) * q5
+        x_y = solution%factor(i, k) * q_y
+        k = k - 1
         B1 = solution%B(i, 1, k)
         B2 = solution%B(i, 2, k)
         B3 = solution%B(i, 3, k)
         B4 = solution%B(i, 4, k)
         B5 = solution%B(i, 5, k)
-        y = solution%y(i, k)
-        source1 = source1 + y * q1
-        source2 = source2 + y * q2
-        source3 = source3 + y * q3
-        source4 = source4 + y * q4
-        source5 = source5 + y * q5
-        sink1 = sink1 + q_y * B1
-        sink2 = sink2 + q_y * B2
-        sink3 = sink3 + q_y * B3
-        sink4 = sink4 + q_y * B4
-        sink5 = sink5 + q_y * B5
-        total = total + q1 * B1 + q2 * B2 + q3 * B3 + q4 * B4 + q5 * B5
-        turn1 = turn1 + 2 * (q1 * B3 - q3 * B1) + q4 * B5 - q5 * B4
-        turn2 = turn2 + (q1 - SQRT_3 * q2) * B4 + q3 * B5 + q4 * (SQRT_3 * B2 - B1) - q5 * B3
-        turn3 = turn3 - (q1 + SQRT_3 * q2) * B5 + q3 * B4 - q4 * B3 + q5 * (SQRT_3 * B2 + B1)
-        sink = solution%matrix%sink * q_y
-        q_y = solution%matrix%source * (S1 * q1 + S2 * q2 + S3 * q3 + S4 * q4 + S5 * q5) + g_y(i, k)
-        n1 = sink * S1 + decay * q1 - 2 * w1 * q3 - w2 * q4 + w3 * q5 + g_B(i, 1, k)
-        n2 = sink * S2 + decay * q2 + SQRT_3 * (w2 * q4 + w3 * q5) + g_B(i, 2, k)
-        n3 = sink * S3 + decay * q3 + 2 * w1 * q1 - w2 * q5 - w3 * q4 + g_B(i, 3, k)
-        n4 = sink * S4 + decay * q4 - w2 * (SQRT_3 * q2 - q1) - w1 * q5 + w3 * q3 + g_B(i, 4, k)
-        q5 = sink * S5 + decay * q5 - w3 * (SQRT_3 * q2 + q1) + w1 * q4 + w2 * q3 + g_B(i, 5, k)
-        q1 = n1
-        q2 = n2
-        q3 = n3
-        q4 = n4
-        k = k - 1
-        if (k < 0) exit
+        source = solution%matrix%source * solution%y(i, k)
+        sink = solution%matrix%sink * x_y
+        from_S1 = from_S1 + source * x1 + sink * B1
+        from_S2 = from_S2 + source * x2 + sink * B2
+        from_S3 = from_S3 + source * x3 + sink * B3
+        from_S4 = from_S4 + source * x4 + sink * B4
+        from_S5 = from_S5 + source * x5 + sink * B5
+        from_decay = from_decay + x1 * B1 + x2 * B2 + x3 * B3 + x4 * B4 + x5 * B5
+        turn1 = turn1 + 2 * (x1 * B3 - x3 * B1) + x4 * B5 - x5 * B4
+        turn2 = turn2 + (x1 - SQRT_3 * x2) * B4 + x3 * B5 + x4 * (SQRT_3 * B2 - B1) - x5 * B3
+        turn3 = turn3 - (x1 + SQRT_3 * x2) * B5 + x3 * B4 - x4 * B3 + x5 * (SQRT_3 * B2 + B1)
+        q_y = solution%matrix%source * (S1 * x1 + S2 * x2 + S3 * x3 + S4 * x4 + S5 * x5) + g_y(i, k)
+        q1 = g_B(i, 1, k) + sink * S1 + decay * x1 - 2 * w1 * x3 - w2 * x4 + w3 * x5
+        q2 = g_B(i, 2, k) + sink * S2 + decay * x2 + SQRT_3 * (w2 * x4 + w3 * x5)
+        q3 = g_B(i, 3, k) + sink * S3 + decay * x3 + 2 * w1 * x1 - w2 * x5 - w3 * x4
+        q4 = g_B(i, 4, k) + sink * S4 + decay * x4 - w2 * (SQRT_3 * x2 - x1) - w1 * x5 + w3 * x3
+        q5 = g_B(i, 5, k) + sink * S5 + decay * x5 - w3 * (SQRT_3 * x2 + x1) + w1 * x4 + w2 * x3
+        if (k <= 0) exit
       end do
       by_A(i, 1) = q1
       by_A(i, 2) = q2
       by_A(i, 3) = q3
       by_A(i, 4) = q4
       by_A(i, 5) = q5
-      by_S(i, 1) = solution%matrix%source * source1 + solution%matrix%sink * sink1
-      by_S(i, 2) = solution%matrix%source * source2 + solution%matrix%sink * sink2
-      by_S(i, 3) = solution%matrix%source * source3 + solution%matrix%sink * sink3
-      by_S(i, 4) = solution%matrix%source * source4 + solution%matrix%sink * sink4
-      by_S(i, 5) = solution%matrix%source * source5 + solution%matrix%sink * sink5
-      by_decay(i) = total
+      by_S(i, 1) = from_S1
+      by_S(i, 2) = from_S2
+      by_S(i, 3) = from_S3
+      by_S(i, 4) = from_S4
+      by_S(i, 5) = from_S5
+      by_decay(i) = from_decay
       by_spin(i, 1) = turn1
       by_spin(i, 2) = turn2
       by_spin(i, 3) = turn3

@@ -11,14 +11,15 @@ module granumat_tangent
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, deviator_slopes
-  use granumat_tensors, only: LANES, add_identity, commute, contract, modulus, six, spin_moments, spin_series, times, times_spin
+  use granumat_tensors, only: LANES, add_identity, commute, contract, modulus, six, spin_moments, spin_series, &
+    times, times_spin, transposed_times
   implicit none (type, external)
   private
   public :: start_pulling, pull_inner_step, tangent_of
 
   integer, parameter, public :: N_COLUMNS = 9                 ! strains 11 22 33, engineering shears 12 13 23, spins 12 13 23
   integer, parameter, public :: PLANE_COLUMNS(4) = [1, 2, 4, 7]
-  integer, parameter, public :: PULLED_IN_SPACE = 6, PULLED_IN_PLANE = 4    ! the deviator's 5 components, or its first 3; the pressure
+  integer, parameter, public :: PULLED_IN_SPACE = 6, PULLED_IN_PLANE = 4   ! the deviator's components, or its first 3; pressure
   real(dp), parameter :: TANGENT_REST = 1.0e-10_dp  ! first neglected term of the fabric's change over the first one
 
   !> What a component of the stress at the end changes by: with what was there before the inner steps that it has been pulled
@@ -29,7 +30,7 @@ module granumat_tangent
     real(dp), dimension(LANES) :: mod_S, tr_D, mod_D, tr_direction
   end type pulled
 
-  !> What the functions share in an inner step, at the nodes (only with e_r > 0) and the end: t^k/k!, 1/y, and what Z2 - Zc there
+  !> What the functions share in an inner step, at the nodes (only with e_r > 0) and the end: t^k, 1/y, and what Z2 - Zc there
   !! changes by, with the fabric's y_k and with other things.
   type :: shared_factors
     integer :: first, terms
@@ -57,7 +58,7 @@ contains
     n = size(f)
     by = pressure_slopes(par, x%A, inc%tr_direction, x%excess)
     do i = 1, n
-      f(i) = nothing()
+      call clear(f(i))
     end do
     f(n)%A = times(by%A, x%A)
     f(n)%excess = by%excess
@@ -80,8 +81,8 @@ contains
     end if
   end subroutine start_pulling
 
-  pure function nothing() result(f)
-    type(pulled) :: f
+  pure subroutine clear(f)
+    type(pulled), intent(out) :: f
     f%A = 0
     f%dev = 0
     f%excess = 0
@@ -93,7 +94,7 @@ contains
     f%tr_D = 0
     f%mod_D = 0
     f%tr_direction = 0
-  end function nothing
+  end subroutine clear
 
   !> Pulls functions of what an inner step leads to back to what it starts from.
   pure subroutine pull_inner_step(par, inc, step, f)
@@ -167,7 +168,7 @@ contains
     end do
   end subroutine share_factors
 
-  !> t^k/k!, and what the integral of kernel d1 A:S, A:S = -y'/(c3 y), changes by with each y_k.
+  !> t^k, and what the integral of kernel d1 A:S, A:S = -y'/(c3 y), changes by with each y_k.
   pure subroutine weigh_series(par, step, t, kernel, terms, weight, by_y)
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
@@ -190,12 +191,12 @@ contains
       needed = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= TANGENT_REST)     ! by the lane, whatever others need
       total = 0
       do i = 1, N_NODES
-        next = before(:, i) * step%t(:, i) * (1.0_dp / k)
-        total = total + by_dot_y(:, i) * before(:, i) + by_place(:, i) * next
+        next = before(:, i) * step%t(:, i)
+        total = total + k * by_dot_y(:, i) * before(:, i) + by_place(:, i) * next
         before(:, i) = next
       end do
       by_y(:, k) = needed * total
-      power = power * t * (1.0_dp / k)
+      power = power * t
       weight(:, k) = needed * power
     end do
   end subroutine weigh_series
@@ -209,8 +210,8 @@ contains
     type(met), intent(in) :: at
     type(pulled), intent(inout) :: f
     real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, AT_END), by_y(LANES, AT_END)
-    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3)
-    integer :: j, k, m
+    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3), total
+    integer :: i, j, k, m
 
     f%excess = 0
     do m = first, AT_END
@@ -222,18 +223,31 @@ contains
       by_B(:, :, m) = times(factors%inverse_y(:, m), at%A(:, :, m))
       by_y(:, m) = -contract(by_B(:, :, m), step%A(:, :, m))
     end do
-    do k = 0, factors%terms
-      g_y(:, k) = factors%weight(:, k, AT_END) * by_y(:, AT_END) + factors%by_y(:, k, AT_END) * at%excess(:, AT_END)
-      do m = first, N_NODES
-        g_y(:, k) = g_y(:, k) + factors%weight(:, k, m) * by_y(:, m) + factors%by_y(:, k, m) * at%excess(:, m)
-      end do
-      do j = 1, 5
-        g_B(:, j, k) = factors%weight(:, k, AT_END) * by_B(:, j, AT_END)
-        do m = first, N_NODES
-          g_B(:, j, k) = g_B(:, j, k) + factors%weight(:, k, m) * by_B(:, j, m)
+    if (first == AT_END) then
+      do k = 0, factors%terms
+        g_y(:, k) = factors%weight(:, k, AT_END) * by_y(:, AT_END) + factors%by_y(:, k, AT_END) * at%excess(:, AT_END)
+        do j = 1, 5
+          g_B(:, j, k) = factors%weight(:, k, AT_END) * by_B(:, j, AT_END)
         end do
       end do
-    end do
+    else
+      do k = 0, factors%terms
+        do i = 1, LANES
+          total = 0
+          do m = 1, AT_END
+            total = total + factors%weight(i, k, m) * by_y(i, m) + factors%by_y(i, k, m) * at%excess(i, m)
+          end do
+          g_y(i, k) = total
+          do j = 1, 5
+            total = 0
+            do m = 1, AT_END
+              total = total + factors%weight(i, k, m) * by_B(i, j, m)
+            end do
+            g_B(i, j, k) = total
+          end do
+        end do
+      end do
+    end if
     call pull_fabric(step%fabric, factors%terms, g_B, g_y, f%A, by_S, by_decay, by_spin)
     f%S = f%S + times(step%share, by_S)
     f%mod_D = f%mod_D + par%c2 * step%share * by_decay
@@ -275,7 +289,7 @@ contains
     real(dp), dimension(LANES) :: change
     real(dp) :: by_A(LANES, 5, 5), by_S_hat(LANES, 5, 5), twice(LANES, 3)
     type(pressure_change) :: by
-    integer :: i, j, k, m
+    integer :: i, m
 
     call share_rotation(par, step, by_mod_D, turned)
     do m = 1, AT_END
@@ -283,23 +297,17 @@ contains
       call deviator_slopes(par, step%A(:, :, m), inc%S_hat, step%p(:, m), by_A, by_S_hat)
       do i = 1, size(f)
         q = f(i)%dev
-        if (m < AT_END) q = turned_back(step%R(:, :, :, m), q)
+        if (m < AT_END) q = transposed_times(step%R(:, :, :, m), q)
         q = times(step%weights(:, m), q)
         change = contract(q, step%unit(:, :, m))         ! with the pressure
-        if (m < AT_END) then
-          at(i)%A(:, :, m) = times(change * by%A, step%A(:, :, m))
-          at(i)%excess(:, m) = change * by%excess
-        else
-          at(i)%A(:, :, m) = at(i)%A(:, :, m) + times(change * by%A, step%A(:, :, m))
-          at(i)%excess(:, m) = at(i)%excess(:, m) + change * by%excess
-        end if
-        do k = 1, 5
-          do j = 1, 5
-            at(i)%A(:, j, m) = at(i)%A(:, j, m) + q(:, k) * by_A(:, k, j)
-            f(i)%S_hat(:, j) = f(i)%S_hat(:, j) + q(:, k) * by_S_hat(:, k, j)
-          end do
-        end do
         f(i)%tr_direction = f(i)%tr_direction + change * by%trace
+        f(i)%S_hat = f(i)%S_hat + transposed_times(by_S_hat, q)
+        q = transposed_times(by_A, q) + times(change * by%A, step%A(:, :, m))
+        change = change * by%excess
+        if (m == AT_END) q = q + f(i)%A
+        if (m == AT_END) change = change + f(i)%excess
+        at(i)%A(:, :, m) = q
+        at(i)%excess(:, m) = change
       end do
     end do
     do i = 1, size(f)
@@ -307,7 +315,7 @@ contains
       twice = commute(step%w, spin_moments(f(i)%dev, turned(:, :, 2)))
       f(i)%w = f(i)%w + times_spin(step%share, spin_moments(f(i)%dev, turned(:, :, 0)) &
         + commute(step%w, twice - spin_moments(f(i)%dev, turned(:, :, 1))))
-      f(i)%dev = times(step%weights(:, 0), turned_back(step%R(:, :, :, 0), f(i)%dev))
+      f(i)%dev = times(step%weights(:, 0), transposed_times(step%R(:, :, :, 0), f(i)%dev))
     end do
   end subroutine pull_relaxation
 
@@ -338,16 +346,6 @@ contains
     end do
     by_mod_D = times(step%share / par%elastic_strain, by_mod_D)
   end subroutine share_rotation
-
-  !> R^T q
-  pure function turned_back(R, q) result(back)
-    real(dp), intent(in) :: R(LANES, 5, 5), q(LANES, 5)
-    real(dp) :: back(LANES, 5)
-    integer :: j
-    do j = 1, 5
-      back(:, j) = contract(R(:, :, j), q)
-    end do
-  end function turned_back
 
   !> Change of the stress at the end of the increment, tension positive, with the strain and the spin.
   pure subroutine tangent_of(inc, f, tangent)

@@ -7,8 +7,8 @@ module granumat_tensors
   implicit none (type, external)
   private
   public :: trace, deviator, six, contract, modulus, safe_modulus, times, product_symmetric, product_deviator, product_matrix, &
-    rotation, small_rotation, spin_series, rotate, rotation_of_deviators, corotate, spin_moments, commute, add_identity, &
-    strain_and_spin, times_spin
+    rotation, small_rotation, spin_series, rotate, rotation_of_deviators, matrix_times, transposed_times, corotate, &
+    spin_moments, commute, add_identity, strain_and_spin, times_spin
 
   integer, parameter, public :: LANES = 8     ! one vector of AVX-512, two of AVX2, four of SSE2
   real(dp), parameter, public :: SQRT_3 = sqrt(3.0_dp)
@@ -263,35 +263,55 @@ contains
   !> The matrix by which the five components of a deviator turn: X -> R X R^T.
   pure function rotation_of_deviators(R) result(M)
     real(dp), intent(in) :: R(LANES, 3, 3)
-    real(dp) :: M(LANES, 5, 5), first(LANES, 5), second(LANES, 5), third(LANES, 5)
-    integer, parameter :: AXES(2, 3) = reshape([1, 2, 1, 3, 2, 3], [2, 3])
-    integer :: k
+    real(dp) :: M(LANES, 5, 5), dyad(5, 6), xx, yy
+    integer, parameter :: AXES(2, 6) = reshape([1, 1, 2, 2, 3, 3, 1, 2, 1, 3, 2, 3], [2, 6])
+    integer :: i, k, a, b
 
-    first = dyad(1, 1)
-    second = dyad(2, 2)
-    third = dyad(3, 3)
-    M(:, :, 1) = HALF_ROOT * (first - second)
-    M(:, :, 2) = SIXTH_ROOT * (2 * third - first - second)
-    do k = 1, 3
-      M(:, :, 2 + k) = 2 * HALF_ROOT * dyad(AXES(1, k), AXES(2, k))
+    do i = 1, LANES
+      do k = 1, 6                             ! of two columns of R, the deviator of their symmetric dyad
+        a = AXES(1, k)
+        b = AXES(2, k)
+        xx = R(i, 1, a) * R(i, 1, b)
+        yy = R(i, 2, a) * R(i, 2, b)
+        dyad(1, k) = HALF_ROOT * (xx - yy)
+        dyad(2, k) = SIXTH_ROOT * (2 * R(i, 3, a) * R(i, 3, b) - xx - yy)
+        dyad(3, k) = HALF_ROOT * (R(i, 1, a) * R(i, 2, b) + R(i, 2, a) * R(i, 1, b))
+        dyad(4, k) = HALF_ROOT * (R(i, 1, a) * R(i, 3, b) + R(i, 3, a) * R(i, 1, b))
+        dyad(5, k) = HALF_ROOT * (R(i, 2, a) * R(i, 3, b) + R(i, 3, a) * R(i, 2, b))
+      end do
+      do k = 1, 5
+        M(i, k, 1) = HALF_ROOT * (dyad(k, 1) - dyad(k, 2))
+        M(i, k, 2) = SIXTH_ROOT * (2 * dyad(k, 3) - dyad(k, 1) - dyad(k, 2))
+        M(i, k, 3) = 2 * HALF_ROOT * dyad(k, 4)
+        M(i, k, 4) = 2 * HALF_ROOT * dyad(k, 5)
+        M(i, k, 5) = 2 * HALF_ROOT * dyad(k, 6)
+      end do
     end do
-
-  contains
-
-    !> Of two columns of R, the deviator of their symmetric dyad.
-    pure function dyad(a, b) result(X)
-      integer, intent(in) :: a, b
-      real(dp) :: X(LANES, 5), xx(LANES), yy(LANES)
-      xx = R(:, 1, a) * R(:, 1, b)
-      yy = R(:, 2, a) * R(:, 2, b)
-      X(:, 1) = HALF_ROOT * (xx - yy)
-      X(:, 2) = SIXTH_ROOT * (2 * R(:, 3, a) * R(:, 3, b) - xx - yy)
-      X(:, 3) = HALF_ROOT * (R(:, 1, a) * R(:, 2, b) + R(:, 2, a) * R(:, 1, b))
-      X(:, 4) = HALF_ROOT * (R(:, 1, a) * R(:, 3, b) + R(:, 3, a) * R(:, 1, b))
-      X(:, 5) = HALF_ROOT * (R(:, 2, a) * R(:, 3, b) + R(:, 3, a) * R(:, 2, b))
-    end function dyad
-
   end function rotation_of_deviators
+
+  !> M X
+  pure function matrix_times(M, X) result(P)
+    real(dp), intent(in) :: M(LANES, 5, 5), X(LANES, 5)
+    real(dp) :: P(LANES, 5)
+    integer :: i, j
+    do i = 1, LANES
+      do j = 1, 5
+        P(i, j) = M(i, j, 1) * X(i, 1) + M(i, j, 2) * X(i, 2) + M(i, j, 3) * X(i, 3) + M(i, j, 4) * X(i, 4) + M(i, j, 5) * X(i, 5)
+      end do
+    end do
+  end function matrix_times
+
+  !> M^T X
+  pure function transposed_times(M, X) result(P)
+    real(dp), intent(in) :: M(LANES, 5, 5), X(LANES, 5)
+    real(dp) :: P(LANES, 5)
+    integer :: i, j
+    do i = 1, LANES
+      do j = 1, 5
+        P(i, j) = M(i, 1, j) * X(i, 1) + M(i, 2, j) * X(i, 2) + M(i, 3, j) * X(i, 3) + M(i, 4, j) * X(i, 4) + M(i, 5, j) * X(i, 5)
+      end do
+    end do
+  end function transposed_times
 
   !> Strain (engineering shears) and spin of displacement gradients G(j, i) = du_i/dx_j, laid out as C and numpy have them.
   pure subroutine strain_and_spin(G, strain, spin)

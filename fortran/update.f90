@@ -6,7 +6,7 @@ module granumat_update
   use granumat_kinds, only: dp
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP, &
     TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_tensors, only: LANES, add_identity, deviator, modulus, rotate, rotation, rotation_of_deviators, six, &
+  use granumat_tensors, only: LANES, add_identity, deviator, matrix_times, modulus, rotate, rotation, rotation_of_deviators, six, &
     small_rotation, times, times_spin
   use granumat_parameters, only: material_parameters, BEFORE, CRITICAL, EXACT
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable, REALISABLE
@@ -393,7 +393,7 @@ contains
     step%weights(:, 0) = exp(-ratio)
     step%weights(:, 1:) = relaxation_weights(ratio, u)
     step%R(:, :, :, 0) = rotation_of_deviators(small_rotation(step%w))
-    dev = times(step%weights(:, 0), turned_by(step%R(:, :, :, 0), dev))
+    dev = times(step%weights(:, 0), matrix_times(step%R(:, :, :, 0), dev))
     step%turned(:, :, 0) = dev
     do i = 1, AT_END
       step%p(:, i) = pressure(par, pressure_modulus(par, step%A(:, :, i), inc%tr_direction), step%excess(:, i))
@@ -401,21 +401,10 @@ contains
       step%turned(:, :, i) = times(step%p(:, i), step%unit(:, :, i))
       if (i < AT_END) then
         step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
-        step%turned(:, :, i) = turned_by(step%R(:, :, :, i), step%turned(:, :, i))
+        step%turned(:, :, i) = matrix_times(step%R(:, :, :, i), step%turned(:, :, i))
       end if
       dev = dev + times(step%weights(:, i), step%turned(:, :, i))
     end do
   end subroutine relax
-
-  !> R X
-  pure function turned_by(R, X) result(turned)
-    real(dp), intent(in) :: R(LANES, 5, 5), X(LANES, 5)
-    real(dp) :: turned(LANES, 5)
-    integer :: j
-    turned = times(X(:, 1), R(:, :, 1))
-    do j = 2, 5
-      turned = turned + times(X(:, j), R(:, :, j))
-    end do
-  end function turned_by
 
 end module granumat_update
