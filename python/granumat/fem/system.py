@@ -152,9 +152,10 @@ class System:
     def _add(self, add_values, cells, rows):
         """Adds the cells' matrices, whose rows (all cells, m) are given; negative ones are left out."""
         m, matrix = rows.shape[1], self._matrix.handle
+        places, place = rows.ctypes.data, rows.strides[0]
+        values, value = self.matrices.ctypes.data, self.matrices.strides[0]
         for cell in cells:
-            places = rows.ctypes.data + cell * rows.strides[0]
-            _check(add_values(matrix, m, places, m, places, self.matrices.ctypes.data + cell * self.matrices.strides[0], _ADD))
+            _check(add_values(matrix, m, places + cell * place, m, places + cell * place, values + cell * value, _ADD))
 
     def solve_assembled(self, right):
         """Whether the first solver, or the second, solves the equations."""
