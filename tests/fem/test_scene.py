@@ -340,5 +340,5 @@ def solve(*_, **__):
 scene.solve, cli.PATIENCE = solve, 0.5
 raise SystemExit(cli.main(["solve", "scene.toml", "--out", "out"]))
 """
-    with pytest.raises(AssertionError, match="(?s)Traceback.*ValueError: only here"):
+    with pytest.raises(AssertionError, match=r"(?s)Traceback.*ValueError: only here"):
         mpirun(script, 2)

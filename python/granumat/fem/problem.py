@@ -151,7 +151,7 @@ class Problem:
                    for number, condition in enumerate(conditions) if not isinstance(condition, kinds)]
         refuse("the problem cannot be set up", faults)
         self.mesh, self.material, self.degree, self.conditions = mesh, material, degree, tuple(conditions)
-        self.rate_term, self.tolerances = rate_term, tolerances
+        self.rate_term, self.gravity, self.initial, self.tolerances = rate_term, gravity, state, tolerances
         self.comm, self.d = mesh.comm, d
         self._facet_tags = facet_tags
         self.space = vector_space(mesh, degree)
