@@ -11,7 +11,7 @@ from petsc4py import PETSc
 
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
 _Int = np.ctypeslib.as_ctypes_type(PETSc.IntType)
-_ADD = 2
+_ADD = int(PETSc.InsertMode.ADD)
 for _name in ("MatSetValues", "MatSetValuesBlocked"):
     getattr(_petsc, _name).argtypes = [ctypes.c_void_p, *(_Int, ctypes.c_void_p) * 2, ctypes.c_void_p, ctypes.c_int]
 ERROR_IN_LIBRARY = 76              # PETSc's number for what MUMPS makes of some matrices that it cannot factorise
