@@ -68,7 +68,7 @@ def compress(columns, elastic_strain, rate_term, compression, increments):
     return np.array(rows), fields.on_rank_0(problem, problem.shear_strain)
 
 
-def main(meshes=(4, 8, 12), compression=0.21, increments=42):
+def main(meshes=(4, 8, 12), compression=0.21, increments=42, out=None):
     data, pictures = {}, {}
     for name, case in CASES.items():
         for columns in meshes:
@@ -84,7 +84,9 @@ def main(meshes=(4, 8, 12), compression=0.21, increments=42):
             print("change of the bands' share by the last refinement:", {name: f"{-part:.0%}" for name, part in thinner.items()})
         assert thinner["e_r = 0.001"] > 0.1 and thinner["e_r = 0.01"] > 0.1
         assert thinner["e_r = 0.01, alpha = 0.02"] < thinner["e_r = 0.01"] / 2
-    return data, pictures
+    if out and RANK == 0:
+        fields.save(picture(data, pictures), out, "biaxial-block")
+    return data
 
 
 def picture(data, pictures):
@@ -107,11 +109,9 @@ def picture(data, pictures):
         for column, columns in enumerate(meshes):
             axes = figure.add_subplot(2, 2 + len(meshes), row * width + 3 + column)
             fields.draw(axes, pictures[name, columns], "shear strain" if column == len(meshes) - 1 else "")
-            axes.set_title(name if column == 1 else "", fontsize=9)
+            axes.set_title(name if column == len(meshes) // 2 else "", fontsize=9)
     return figure
 
 
 if __name__ == "__main__":
-    data, pictures = main()
-    if RANK == 0:
-        fields.save(picture(data, pictures), "biaxial-block.png")
+    main(out=fields.directory())

@@ -71,7 +71,7 @@ def history(phi, cells, increments, cycles, rough):
 
 
 # %%
-def main(cells=6, increments=40, cycles=6):
+def main(cells=6, increments=40, cycles=6, out=None):
     data, pictures = {}, []
     for phi in (0.59, 0.60):
         for rough in (True, False):
@@ -89,7 +89,9 @@ def main(cells=6, increments=40, cycles=6):
                 jammed = np.cumprod(found["point"] > LIQUEFIED).astype(bool)
                 assert difference[jammed].max() < 1e-9 and difference.max() < 1e-6      # without stress, forces hold no point
                 assert (least < 1e-9) == (phi == 0.59) and last > 0.05 * PRESSURE
-    return data, pictures
+    if out and RANK == 0:
+        fields.save(picture(pictures), out, "direct-shear")
+    return data
 
 
 def picture(pictures):
@@ -113,6 +115,4 @@ def picture(pictures):
 
 
 if __name__ == "__main__":
-    _, pictures = main()
-    if RANK == 0:
-        fields.save(picture(pictures), "direct-shear.png")
+    main(out=fields.directory())

@@ -1,4 +1,4 @@
-"""Pictures of the demos, and fields of plane bodies in them."""
+"""What demos share: where they draw, fields of plane bodies, means over layers."""
 
 import sys
 from pathlib import Path
@@ -28,8 +28,19 @@ def draw(axes, field, label):
     axes.figure.colorbar(patches, ax=axes, label=label, shrink=0.8)
 
 
-def save(figure, name):
-    """Into the directory that the command line names, results/fem if it names none."""
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / name, dpi=80)
+def over_layers(problem, heights, layers, values):
+    """Means (layers) of values (points) over layers of equal height; heights (points) over that of the body. On all ranks."""
+    layer = np.minimum(heights * layers, layers - 0.5).astype(int)
+    total, points = problem.comm.allreduce(np.stack([np.bincount(layer, values, layers), np.bincount(layer, minlength=layers)]))
+    return total / points
+
+
+def directory():
+    """The one that the command line names, results/fem if it names none."""
+    return sys.argv[1] if len(sys.argv) > 1 else "results/fem"
+
+
+def save(figure, out, name):
+    """As NAME.png into the directory `out`."""
+    Path(out).mkdir(parents=True, exist_ok=True)
+    figure.savefig(Path(out) / f"{name}.png", dpi=80)
