@@ -85,9 +85,7 @@ def main(cells=6, increments=40, cycles=6, out=None):
                       f"{least:.1e} (point {max(found['point'][cyclic].min(), 0):.1e}), p at the end {last:.5f}"
                       + ("" if rough else f", phi from {field[1].min():.4f} to {field[1].max():.4f}"))
             if rough:
-                difference = abs(found["box"] - found["point"]) / PRESSURE
-                jammed = np.cumprod(found["point"] > LIQUEFIED).astype(bool)
-                assert difference[jammed].max() < 1e-9 and difference.max() < 1e-6      # without stress, forces hold no point
+                assert abs(found["box"] - found["point"]).max() < 1e-9 * PRESSURE       # liquefied, too
                 assert (least < 1e-9) == (phi == 0.59) and last > 0.05 * PRESSURE
     if out and RANK == 0:
         fields.save(picture(pictures), out, "direct-shear")
