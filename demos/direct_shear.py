@@ -66,7 +66,7 @@ def history(phi, cells, increments, cycles, rough):
         fem.run(problem, stop, 1 / increments, observers=[watch])
         if not rough and rows[-1][2] < LIQUEFIED:
             break
-    field = fields.on_rank_0(problem, problem.states.volume_fraction)
+    field = fields.on_rank_0(problem, "phi")
     return dict(zip(("t", "gamma", "box", "point"), np.array(rows).T)), field
 
 

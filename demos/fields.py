@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.collections import PolyCollection
 
+from granumat import fem
 
-def on_rank_0(problem, values):
-    """Corners (cells, 3 or 4, 2) of all cells as they are now and means (cells) of values (points); None on other ranks."""
-    corners = (problem.positions + problem.displacement)[problem._nodes]
-    around = {3: [0, 1, 2], 4: [0, 1, 3, 2]}[corners.shape[1]]
-    weights = problem.point_volumes().reshape(problem.cells, -1)
-    means = (values.reshape(weights.shape) * weights).sum(axis=1) / weights.sum(axis=1)
-    parts = problem.comm.gather((corners[:, around], means))
+
+def on_rank_0(problem, name):
+    """Corners (cells, 4, 2) of all quadrilaterals as they are now and one of fem.cell_fields (cells); None on other ranks."""
+    dofmap = problem.space.dofmap
+    nodes = np.array([dofmap.cell_dofs(cell)[[0, 1, 3, 2]] for cell in range(problem.cells)], int).reshape(-1, 4)
+    parts = problem.comm.gather(((problem.positions + problem.displacement)[nodes], fem.cell_fields(problem)[name]))
     return None if parts is None else tuple(np.concatenate(part) for part in zip(*parts))
 
 
