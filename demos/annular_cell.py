@@ -3,6 +3,7 @@
 import csv
 from pathlib import Path
 
+import fields
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
@@ -145,9 +146,8 @@ def draw(runs, exact, found, turn, paths):
 
 def save(out, name, columns, rows, figure):
     """Writes rows as a table and a figure into the directory `out`."""
-    Path(out).mkdir(parents=True, exist_ok=True)
+    fields.save(figure, out, name)
     with open(Path(out) / f"{name}.csv", "w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, columns)
         table.writeheader()
         table.writerows(rows)
-    figure.savefig(Path(out) / f"{name}.png", dpi=75)

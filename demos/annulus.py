@@ -7,9 +7,7 @@
 # packing there pass through a transient. The solution depends on the radius alone: `radial.py` finds it without finite elements.
 
 # %%
-import sys
-from pathlib import Path
-
+import fields
 import numpy as np
 from annular_cell import INNER, OUTER, PRESSURE, Watch, draw, ring, sheared_zone
 from mpi4py import MPI
@@ -58,15 +56,15 @@ def refine(meshes, fine):
 
 # %%
 def main(rings=10, sectors=96, turn=0.5, back=0.25, increment=0.005, twist=0.24, meshes=(8, 16, 32, 64), fine=256,
-         picture=None):
+         out=None):
     runs = {"load": turn_and_back("load", rings, sectors, turn, back, increment, twist=twist),
             "volume": turn_and_back("volume", rings, 1, turn, back, increment, part=1 / sectors, twist=twist)}
     exact = {wall: radial(wall, rings, turn, back, increment) for wall in runs}
     found = refine(meshes, fine)
     if MPI.COMM_WORLD.rank == 0:
         report(runs, exact, found, turn)
-        if picture:
-            draw(runs, exact, found, turn, (OBJECTIVE, LOCALISED)).savefig(picture, dpi=75)
+        if out:
+            fields.save(draw(runs, exact, found, turn, (OBJECTIVE, LOCALISED)), out, "annulus")
     check(runs, exact, turn)
     return {"runs": runs, "radial": exact, "refinement": found}
 
@@ -101,4 +99,4 @@ def check(runs, exact, turn):
 
 
 if __name__ == "__main__":
-    main(picture=Path(sys.argv[1] if len(sys.argv) > 1 else "annulus.png"))
+    main(out=fields.directory())

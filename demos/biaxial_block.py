@@ -65,10 +65,10 @@ def compress(columns, elastic_strain, rate_term, compression, increments):
             rows.append((problem.t, -problem.reaction(top)[0][1] / PRESSURE, share_of_bands(problem)))
 
     fem.run(problem, compression, compression / increments, observers=[watch])
-    return np.array(rows), fields.on_rank_0(problem, problem.shear_strain)
+    return np.array(rows), fields.on_rank_0(problem, "shear_strain")
 
 
-def main(meshes=(4, 8, 12), compression=0.21, increments=42):
+def main(meshes=(4, 8, 12), compression=0.21, increments=42, out=None):
     data, pictures = {}, {}
     for name, case in CASES.items():
         for columns in meshes:
@@ -84,7 +84,9 @@ def main(meshes=(4, 8, 12), compression=0.21, increments=42):
             print("change of the bands' share by the last refinement:", {name: f"{-part:.0%}" for name, part in thinner.items()})
         assert thinner["e_r = 0.001"] > 0.1 and thinner["e_r = 0.01"] > 0.1
         assert thinner["e_r = 0.01, alpha = 0.02"] < thinner["e_r = 0.01"] / 2
-    return data, pictures
+    if out and RANK == 0:
+        fields.save(picture(data, pictures), out, "biaxial-block")
+    return data
 
 
 def picture(data, pictures):
@@ -93,13 +95,13 @@ def picture(data, pictures):
     figure = Figure(figsize=(11, 6), layout="constrained")
     width = 2 + len(meshes)
     force, share = figure.add_subplot(2, width, (1, 2)), figure.add_subplot(2, width, (width + 1, width + 2))
+    labels = {name: name.replace("e_r", "$e_r$").replace("alpha", "$\\alpha$") for name in CASES}
     for color, name in enumerate(CASES):
         for columns, style in zip(meshes, (":", "--", "-")):
             rows = data[f"{name}: {columns}"]
-            label = name.replace("e_r", "$e_r$").replace("alpha", "$\\alpha$") if columns == meshes[-1] else None
-            force.plot(rows[:, 0], rows[:, 1], style, color=f"C{color}", label=label)
+            force.plot(rows[:, 0], rows[:, 1], style, color=f"C{color}", label=labels[name] if columns == meshes[-1] else None)
             share.plot(rows[:, 0], rows[:, 2], style, color=f"C{color}")
-    force.set(ylabel="force over side pressure", title=f"dotted, dashed, full: {meshes} columns of cells")
+    force.set(ylabel="force over side pressure", title=f"dotted, dashed, full: {', '.join(map(str, meshes))} columns of cells")
     force.title.set_fontsize(9)
     force.legend(frameon=False, fontsize=8)
     share.set(xlabel="compression over height", ylabel="share of the block with half of the shear")
@@ -107,11 +109,9 @@ def picture(data, pictures):
         for column, columns in enumerate(meshes):
             axes = figure.add_subplot(2, 2 + len(meshes), row * width + 3 + column)
             fields.draw(axes, pictures[name, columns], "shear strain" if column == len(meshes) - 1 else "")
-            axes.set_title(name if column == 1 else "", fontsize=9)
+            axes.set_title(labels[name] if column == len(meshes) // 2 else "", fontsize=9)
     return figure
 
 
 if __name__ == "__main__":
-    data, pictures = main()
-    if RANK == 0:
-        fields.save(picture(data, pictures), "biaxial-block.png")
+    main(out=fields.directory())

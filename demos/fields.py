@@ -1,4 +1,4 @@
-"""Pictures of the demos, and fields of plane bodies in them."""
+"""What demos share: where they draw, fields of plane bodies, means over layers."""
 
 import sys
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 from matplotlib.collections import PolyCollection
 
+from granumat import fem
 
-def on_rank_0(problem, values):
-    """Corners (cells, 3 or 4, 2) of all cells as they are now and means (cells) of values (points); None on other ranks."""
-    corners = (problem.positions + problem.displacement)[problem._nodes]
-    around = {3: [0, 1, 2], 4: [0, 1, 3, 2]}[corners.shape[1]]
-    weights = problem.point_volumes().reshape(problem.cells, -1)
-    means = (values.reshape(weights.shape) * weights).sum(axis=1) / weights.sum(axis=1)
-    parts = problem.comm.gather((corners[:, around], means))
+
+def on_rank_0(problem, name):
+    """Corners (cells, 4, 2) of all quadrilaterals as they are now and one of fem.cell_fields (cells); None on other ranks."""
+    dofmap = problem.space.dofmap
+    nodes = np.array([dofmap.cell_dofs(cell)[[0, 1, 3, 2]] for cell in range(problem.cells)], int).reshape(-1, 4)
+    parts = problem.comm.gather(((problem.positions + problem.displacement)[nodes], fem.cell_fields(problem)[name]))
     return None if parts is None else tuple(np.concatenate(part) for part in zip(*parts))
 
 
@@ -28,8 +28,19 @@ def draw(axes, field, label):
     axes.figure.colorbar(patches, ax=axes, label=label, shrink=0.8)
 
 
-def save(figure, name):
-    """Into the directory that the command line names, results/fem if it names none."""
-    out = Path(sys.argv[1] if len(sys.argv) > 1 else "results/fem")
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / name, dpi=80)
+def over_layers(problem, heights, layers, values):
+    """Means (layers) of values (points) over layers of equal height; heights (points) over that of the body. On all ranks."""
+    layer = np.minimum(heights * layers, layers - 0.5).astype(int)
+    total, points = problem.comm.allreduce(np.stack([np.bincount(layer, values, layers), np.bincount(layer, minlength=layers)]))
+    return total / points
+
+
+def directory():
+    """The one that the command line names, results/fem if it names none."""
+    return sys.argv[1] if len(sys.argv) > 1 else "results/fem"
+
+
+def save(figure, out, name):
+    """As NAME.png into the directory `out`."""
+    Path(out).mkdir(parents=True, exist_ok=True)
+    figure.savefig(Path(out) / f"{name}.png", dpi=80)

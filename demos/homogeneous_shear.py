@@ -2,111 +2,98 @@
 # # Homogeneous simple shear is the single point
 #
 # A box of finite elements in simple shear, first at constant volume with a pause and a reversal, then under a platen that carries
-# a constant load and rises as the packing dilates. Every integration point must have the state that the driver gets for one point.
+# a constant load and rises as the packing dilates. Every integration point must have the state of a single point that gets the
+# platen's motion, as L = log F of every increment; under the load that point must carry it, too: that is what the driver's control
+# "normal-load" asks for.
 
 # %%
 import fields
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
+from scipy.linalg import logm
 
-from granumat import Material, driver, fem
+from granumat import Material, fem
 
 SAND = Material(mu=0.5, elastic_strain=0.01)
 START = SAND.isotropic(0.60, pressure=0.003)
+LOAD = -START.stress[0]
 SHEAR, BACK = 0.4, 0.25                 # shear strain until the pause, and after it
+UNITS = {"stress": LOAD, "fabric": SAND["kappa"], "coordination_number": 1.0, "volume_fraction": 1.0}
 RANK = MPI.COMM_WORLD.rank
 SHORT = {"cells": 2, "increments": 8}
 
 
-def box(cells, cell):
-    """A box of height 1 along the last axis: mesh, where its bottom and top are, periodic sides."""
-    d = 2 if cell in ("quadrilateral", "triangle") else 3
-    size = np.array([1.5, 0.8, 1.0])[[0, 2] if d == 2 else [0, 1, 2]]
-    sides = [fem.Periodic(lambda x, i=i: np.isclose(x[i], size[i]), lambda x, i=i: x - size * (np.arange(d) == i))
-             for i in range(d - 1)]
-    mesh = fem.meshes.box(MPI.COMM_WORLD, size, [cells] * d, cell)
-    return mesh, lambda x: np.isclose(x[d - 1], 0), lambda x: np.isclose(x[d - 1], 1), sides
+def box(cells, cell, degree, increments, loaded):
+    """A box of height 1 along its last axis, with periodic sides, and where its platen is.
 
+    Pseudo-time counts increments: the platen goes forward, pauses for one and goes back; without a load it keeps its height.
+    """
+    size = np.array([1.5, 1.0] if cell in ("quadrilateral", "triangle") else [1.5, 0.8, 1.0])
+    axes, up = np.eye(len(size)), len(size) - 1
 
-def difference(problem, state):
-    """Largest difference of any point's state to one: stress by the pressure, fabric by kappa."""
-    units = {"stress": -START.stress[0], "fabric": SAND["kappa"], "coordination_number": 1.0, "volume_fraction": 1.0}
-    mine = max(np.abs(problem.states[name] - state[name]).max(initial=0) / unit for name, unit in units.items())
-    return problem.comm.allreduce(mine, MPI.MAX)
+    def bottom(x):
+        return np.isclose(x[up], 0)
 
+    def platen(x):
+        return np.isclose(x[up], 1)
 
-def pressure_and_ratio(states, d):
-    """p and stress ratio (n, 2) of states in simple shear along the first and the last axis of d."""
-    p = states.stress[:, :3].sum(axis=1) / -3
-    return np.stack([p, states.stress[:, 3 if d == 2 else 4] / p], axis=1)
+    def drag(x, t):
+        return SHEAR / increments * (min(t, increments) - max(t - increments - 1, 0)) * axes[0]
 
-
-# %% [markdown]
-# At constant volume the platen's motion is known, and pseudo-time counts increments: forward, one of pause, back.
-
-# %%
-def constant_volume(cells, cell, degree, increments):
-    mesh, bottom, top, sides = box(cells, cell)
-    axes = np.eye(3)[:mesh.geometry.dim, :mesh.geometry.dim]
-    back = round(increments * BACK / SHEAR)
-    direction = np.zeros((3, 3))
-    direction[0, len(axes) - 1] = SHEAR / increments
-    steps = [driver.deform(direction, increments, increments=increments), driver.pause(),
-             driver.deform(-direction, back, increments=back)]
-    point = driver.run(SAND, START, steps)
-    problem = fem.Problem(mesh, SAND, START, degree=degree, conditions=[
-        fem.Displacement(bottom), *sides,
-        fem.Displacement(top, lambda x, t: SHEAR / increments * (min(t, increments) - max(t - increments - 1, 0)) * axes[0])])
-    differences, body = [], []
-
-    def compare(problem):
-        differences.append(difference(problem, point.states[len(differences)]))
-        body.append(pressure_and_ratio(problem.states[:1], len(axes))[0])
-
-    fem.run(problem, increments + 1 + back, 1.0, observers=[compare])
-    return {"point": pressure_and_ratio(point.states, len(axes)), "body": np.array(body), "difference": np.array(differences)}
-
-
-# %% [markdown]
-# Under a constant load the platen rises by what the solution finds. The point gets the platen's motion as the elements do, as
-# L = log F of every increment, and must then carry the platen's load: that is what the driver's control "normal-load" asks for.
-
-# %%
-def constant_load(cells, cell, degree, increments):
-    mesh, bottom, top, sides = box(cells, cell)
-    vertical = mesh.geometry.dim - 1
-    load = -START.stress[vertical]
-    problem = fem.Problem(mesh, SAND, START, degree=degree, conditions=[
-        fem.Displacement(bottom), *sides, fem.Tied(top, vertical), fem.Pressure(top, load),
-        fem.Displacement(top, lambda x, t: SHEAR / increments * t * np.eye(vertical + 1)[0], components=range(vertical))])
-    states, height, differences = [START], [1.0], []
-
-    def compare(problem):
-        if problem.last is not None:
-            risen = problem.displacement[problem.nodes_at(top), vertical].max(initial=-np.inf)
-            height.append(1 + problem.comm.allreduce(risen, MPI.MAX))
-            stretch = np.log(height[-1] / height[-2])
-            L = np.zeros((3, 3))
-            L[0, vertical] = SHEAR / increments / height[-2] * stretch / np.expm1(stretch)
-            L[vertical, vertical] = stretch
-            states.append(SAND.update(states[-1], L))
-            differences.append(max(difference(problem, states[-1]), abs(-states[-1].stress[vertical] / load - 1)))
-
-    fem.run(problem, increments, 1.0, observers=[compare])
-    return {"height": np.array(height), "difference": np.array(differences)}
+    conditions = [fem.Displacement(bottom)]
+    conditions += [fem.Periodic(lambda x, i=i: np.isclose(x[i], size[i]), lambda x, i=i: x - size[i] * axes[i]) for i in range(up)]
+    if loaded:
+        conditions += [fem.Displacement(platen, drag, range(up)), fem.Tied(platen, up), fem.Pressure(platen, LOAD)]
+    else:
+        conditions += [fem.Displacement(platen, drag)]
+    mesh = fem.meshes.box(MPI.COMM_WORLD, size, [cells] * len(size), cell)
+    return fem.Problem(mesh, SAND, START, conditions, degree=degree), platen
 
 
 # %%
-def main(cells=4, increments=40, cell="quadrilateral", degree=1):
-    volume = constant_volume(cells, cell, degree, increments)
-    load = constant_load(cells, cell, degree, increments)
-    largest = volume["difference"].max(), load["difference"].max()
+def pressure_and_ratio(state, d):
+    """p and stress ratio in simple shear along the first and the last axis of d."""
+    p = state.stress[:3].sum() / -3
+    return p, state.stress[d + 1] / p
+
+
+def compare(problem, platen, increments):
+    """Runs a problem and the single point. A row of each array is the start or an increment:
+
+    p and stress ratio of the point and of one in the body; the height of the platen, and what the point bears over LOAD; the
+    largest difference of any state in the body to the point's.
+    """
+    up, start = problem.d - 1, np.eye(problem.d)[-1]                # of the platen
+    point, place, rows = START, start, []
+
+    def watch(problem):
+        nonlocal point, place
+        moved = np.concatenate(problem.comm.allgather(problem.displacement[problem.nodes_at(platen)]))[0]
+        F = np.eye(3)
+        F[:problem.d, up] += (start + moved - place) / place[up]
+        point, place = SAND.update(point, logm(F)), start + moved
+        difference = max(np.abs(problem.states[name] - point[name]).max(initial=0) / unit for name, unit in UNITS.items())
+        rows.append((pressure_and_ratio(point, problem.d), pressure_and_ratio(problem.states[0], problem.d), place[up],
+                     -point.stress[up] / LOAD, problem.comm.allreduce(difference, MPI.MAX)))
+
+    fem.run(problem, increments, 1.0, observers=[watch])
+    return dict(zip(("point", "body", "height", "load", "difference"), map(np.array, zip(*rows))))
+
+
+# %%
+def main(cells=4, increments=40, cell="quadrilateral", degree=1, out=None):
+    volume = compare(*box(cells, cell, degree, increments, False), increments + 1 + round(increments * BACK / SHEAR))
+    load = compare(*box(cells, cell, degree, increments, True), increments)
+    difference = np.array([volume["difference"].max(), load["difference"].max(), abs(load["load"] - 1).max()])
     if RANK == 0:
-        print(f"{cell:13} of degree {degree}: largest difference to the point {largest[0]:.0e} at constant volume, "
-              f"{largest[1]:.0e} at constant load, where the platen rises by {load['height'][-1] - 1:.5f}")
-    assert max(largest) < 1e-9
-    return {"at_volume": volume["body"], "point": volume["point"], "height": load["height"], "difference": np.array(largest)}
+        print(f"{cell:13} of degree {degree}: largest difference to the point {difference[0]:.0e} at constant volume, "
+              f"{difference[1:].max():.0e} at constant load, where the platen rises by {load['height'][-1] - 1:.5f}")
+    assert difference.max() < 1e-9
+    data = {"at_volume": volume["body"], "point": volume["point"], "height": load["height"], "difference": difference}
+    if out and RANK == 0:
+        fields.save(picture(data), out, "homogeneous-shear")
+    return data
 
 
 def picture(data):
@@ -129,6 +116,4 @@ def picture(data):
 if __name__ == "__main__":
     for cell in ("triangle", "hexahedron", "tetrahedron"):
         main(**SHORT, cell=cell, degree=2)
-    data = main()
-    if RANK == 0:
-        fields.save(picture(data), "homogeneous-shear.png")
+    main(out=fields.directory())

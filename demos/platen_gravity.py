@@ -32,10 +32,6 @@ def resting(x):
     return np.array([SAND.isotropic(PHI, pressure=pressure) for pressure in pressures.tolist()], STATE)
 
 
-def bed(x):
-    return np.isclose(x[1], 0)
-
-
 def platen(x):
     return np.isclose(x[1], 1)
 
@@ -51,10 +47,10 @@ def theory():
 
 # %%
 def drag_layer(rows, rate_term, drag, increments):
-    """Displacement of the platen and the force on it over the load, and the rate of shear of every row in the end."""
+    """Displacement of the platen and the force on it over the load, and the rate of shear of every row in the last increment."""
     width = 2 / rows
     problem = fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (width, 1.0), (2, rows)), SAND, resting, [
-        fem.Displacement(bed), fem.Displacement(platen, lambda x, t: np.array([t, 0.0]), components=[0]),
+        fem.Displacement(lambda x: np.isclose(x[1], 0)), fem.Displacement(platen, lambda x, t: np.array([t, 0.0]), components=[0]),
         fem.Tied(platen, 1), fem.Pressure(platen, LOAD),
         fem.Periodic(lambda x: np.isclose(x[0], width), lambda x: x - np.array([width, 0.0]))],
         gravity=(0.0, -WEIGHT), rate_term=rate_term)
@@ -65,10 +61,8 @@ def drag_layer(rows, rate_term, drag, increments):
             force.append((problem.t, problem.reaction(platen)[0][0] / (LOAD * width)))
 
     fem.run(problem, drag, drag / increments, observers=[watch])
-    row = np.minimum(problem.point_positions()[:, 1] * rows, rows - 0.5).astype(int)
-    rates = np.stack([np.bincount(row, problem.last.gradients[:, 0, 1], rows), np.bincount(row, minlength=rows)])
-    shear, points = problem.comm.allreduce(rates)
-    return np.array(force), shear / points / (force[-1][0] - force[-2][0])
+    shear = fields.over_layers(problem, problem.point_positions()[:, 1], rows, problem.last.gradients[:, 0, 1])
+    return np.array(force), shear / (force[-1][0] - force[-2][0])
 
 
 def sheared_depth(rates):
@@ -76,7 +70,7 @@ def sheared_depth(rates):
     return np.count_nonzero(rates > 0.02 * rates.max()) / len(rates)
 
 
-def main(rows=(8, 16, 32), drag=1.0, increments=100):
+def main(rows=(8, 16, 32), drag=1.0, increments=100, out=None):
     data = {}
     for rate_term in (0.0, ALPHA):
         for count in rows:
@@ -93,32 +87,30 @@ def main(rows=(8, 16, 32), drag=1.0, increments=100):
             assert sheared_depth(data[f"0.0 {count} rates"]) == 1 / count
             assert abs(sheared_depth(data[f"{ALPHA} {count} rates"]) - depth) < 1 / count + 0.03
             assert abs(data[f"{ALPHA} {count} force"][-1, 1] / ratio - 1) < 0.005
+    if out and RANK == 0:
+        fields.save(picture(data, rows), out, "platen-gravity")
     return data
 
 
-def picture(data):
+def picture(data, rows):
+    """Rate of shear along the height without and with the rate term, and the force on the platen."""
     figure = Figure(figsize=(10, 3.2), layout="constrained")
     panels = figure.subplots(1, 3)
-    for name, values in data.items():
-        rate_term, rows, what = name.split()
-        style = {"linestyle": "-" if float(rate_term) else "--", "color": {"8": "C0", "16": "C1", "32": "C2"}[rows],
-                 "label": f"{rows} rows" + (", rate term" if float(rate_term) else "")}
-        if what == "force":
-            panels[2].plot(*values.T, **style)
-        else:
-            panel = panels[1 if float(rate_term) else 0]
-            panel.stairs(values, np.linspace(0, 1, int(rows) + 1), orientation="horizontal", baseline=None, **style)
+    for panel, rate_term, line, more in zip(panels, (0.0, ALPHA), ("--", "-"), ("", ", rate term")):
+        for color, count in enumerate(rows):
+            style = {"linestyle": line, "color": f"C{color}", "label": f"{count} rows{more}"}
+            panel.stairs(data[f"{rate_term} {count} rates"], np.linspace(0, 1, count + 1), orientation="horizontal",
+                         baseline=None, **style)
+            panels[2].plot(*data[f"{rate_term} {count} force"].T, **style)
     heights = np.linspace(0, 1, 201)
     panels[1].plot(theory()[2](1 - heights), heights, "k:", label="steady theory")
     panels[0].set(xlabel="rate of shear, no rate term", ylabel="height")
     panels[1].set(xlabel=f"rate of shear, $\\alpha$ = {ALPHA}", ylabel="height")
     panels[2].set(xlabel="displacement of the platen over height", ylabel="shear force over load")
     for panel in panels:
-        panel.legend(frameon=False, fontsize=7)
+        panel.legend(frameon=False, fontsize=7, loc="lower right")
     return figure
 
 
 if __name__ == "__main__":
-    data = main()
-    if RANK == 0:
-        fields.save(picture(data), "platen-gravity.png")
+    main(out=fields.directory())

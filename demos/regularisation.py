@@ -6,9 +6,9 @@
 # is per radian that the wall turns; as the gap is as wide as the inner radius, that is the mean shear rate over the gap.
 
 # %%
-import sys
 from itertools import product
 
+import fields
 import numpy as np
 from annular_cell import Watch, ring, save, sheared_zone
 from matplotlib.figure import Figure
@@ -62,31 +62,32 @@ def main(meshes=MESHES, elastic_strains=ELASTIC_STRAINS, rate_terms=RATE_TERMS, 
 
 
 def draw(rows, paths):
+    strains, alphas, meshes = (sorted({row[name] for row in rows}) for name in COLUMNS[:3])
     figure = Figure(figsize=(12, 6.4), layout="constrained")
-    panels = figure.subplots(2, len(RATE_TERMS))
-    colours = dict(zip(MESHES, ("#E69F00", "#009E73", "#0072B2")))
-    for axes, rate_term in zip(panels[0], RATE_TERMS):
+    upper, lower = (part.subplots(1, count) for part, count in zip(figure.subfigures(2, 1), (len(alphas), 3)))
+    colours, lines = dict(zip(meshes, ("#E69F00", "#009E73", "#0072B2"))), dict(zip(reversed(strains), ("-", ":")))
+    for axes, rate_term in zip(upper, alphas):
         for (elastic_strain, alpha, rings), columns in paths.items():
             if alpha == rate_term:
-                axes.plot(columns["path"], columns["torque"], "-" if elastic_strain == max(ELASTIC_STRAINS) else ":",
-                          color=colours[rings], label=f"{rings} rings, $e_r$ = {elastic_strain:g}")
-        axes.set(title=rf"rate term $\alpha$ = {rate_term:g}", xlabel="path of the inner wall [rad]", ylabel="torque per height [k/d]",
-                 ylim=(-0.03, 0.038))
-    panels[0, 0].legend(frameon=False, fontsize=7.5)
+                axes.plot(columns["path"], columns["torque"], lines[elastic_strain], color=colours[rings],
+                          label=f"{rings} rings, $e_r$ = {elastic_strain:g}")
+        axes.set(title=rf"rate term $\alpha$ = {rate_term:g}", xlabel="path of the inner wall [rad]",
+                 ylabel="torque per height [k/d]", ylim=(-0.03, 0.038))
+    upper[0].legend(frameon=False, fontsize=7.5)
     labels = {"width": "width of the sheared zone", "torque": "torque at the reversal [k/d]",
               "pressure": "pressure, first ring, at the reversal [k/d]"}
-    for axes, (name, label) in zip(panels[1], labels.items()):
-        for rate_term, marker in zip(RATE_TERMS, "osd"):
-            for elastic_strain, line in zip(ELASTIC_STRAINS, (":", "-")):
+    for axes, (name, label) in zip(lower, labels.items()):
+        for rate_term, marker in zip(alphas, "osd"):
+            for elastic_strain in strains:
                 values = [row[name] for row in rows if (row["elastic_strain"], row["rate_term"]) == (elastic_strain, rate_term)]
-                axes.plot(MESHES, values, line + marker, color=f"C{RATE_TERMS.index(rate_term)}", markersize=4,
+                axes.plot(meshes, values, lines[elastic_strain] + marker, color=f"C{alphas.index(rate_term)}", markersize=4,
                           label=rf"$\alpha$ = {rate_term:g}, $e_r$ = {elastic_strain:g}")
-        axes.set(xlabel="rings of cells", ylabel=label, xscale="log", xticks=MESHES, xticklabels=MESHES)
+        axes.set(xlabel="rings of cells", ylabel=label, xscale="log", xticks=meshes, xticklabels=meshes)
         axes.minorticks_off()
-    panels[1, 0].set(yscale="log", ylim=(0.005, 0.6))
-    panels[1, 0].legend(frameon=False, fontsize=7.5, ncols=2, loc="lower left")
+    lower[0].set(yscale="log", ylim=(0.005, 0.6))
+    lower[0].legend(frameon=False, fontsize=7.5, ncols=2, loc="lower left")
     return figure
 
 
 if __name__ == "__main__":
-    main(out=sys.argv[1] if len(sys.argv) > 1 else "results/regularisation")
+    main(out=fields.directory())

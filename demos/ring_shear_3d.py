@@ -51,7 +51,7 @@ def narrow_ring(turn, increments, radii=6):
     return np.linspace(0, turn, increments + 1), torque
 
 
-def main(cells=(10, 160, 9), turn=0.024, increments=12):
+def main(cells=(10, 160, 9), turn=0.024, increments=12, out=None):
     mesh = fem.meshes.annulus(MPI.COMM_WORLD, (INNER, OUTER), cells, height=HEIGHT)
     problem = fem.Problem(mesh, SAND, START, [
         fem.Displacement(floor, fem.rotation(lambda t: t)), fem.Displacement(lid, components=[0, 1]), fem.Tied(lid, 2),
@@ -67,17 +67,18 @@ def main(cells=(10, 160, 9), turn=0.024, increments=12):
     fem.run(problem, turn, turn / increments, observers=[watch], progress=sys.stderr)
     t, torque, settlement, iterations = np.array(rows).T
     expected = narrow_ring(turn, increments)
-    layer = np.minimum(problem.point_positions()[:, 2] / (HEIGHT - settlement[-1]) * cells[2], cells[2] - 0.5).astype(int)
-    sums = np.stack([np.bincount(layer, problem.shear_strain, cells[2]), np.bincount(layer, minlength=cells[2])])
-    strain, points = problem.comm.allreduce(sums)
+    heights = problem.point_positions()[:, 2] / (HEIGHT - settlement[-1])
+    strain = fields.over_layers(problem, heights, cells[2], problem.shear_strain)
     if RANK == 0:
         print(f"{problem.system.size} unknowns, {len(rows) - 1} increments, {iterations[1:].mean():.1f} Newton iterations each, "
               f"{time.monotonic() - start:.0f} s on {problem.comm.size} ranks")
         print(f"torque at {t[-1]:.3f} rad {torque[-1]:.5f}, of a narrow ring {expected[1][-1]:.5f}; the lid settles by "
-              f"{settlement[-1]:.5f}; shear strain along the height {(strain / points).min():.3f} to {(strain / points).max():.3f}")
+              f"{settlement[-1]:.5f}; shear strain along the height {strain.min():.3f} to {strain.max():.3f}")
     assert abs(np.interp(t, *expected) - torque).max() < 0.05 * torque[-1]
-    return {"t": t, "torque": torque, "settlement": settlement, "shear_strain": strain / points,
-            "narrow": np.interp(t, *expected)}
+    data = {"t": t, "torque": torque, "settlement": settlement, "shear_strain": strain, "narrow": np.interp(t, *expected)}
+    if out and RANK == 0:
+        fields.save(picture(data), out, "ring-shear-3d")
+    return data
 
 
 def picture(data):
@@ -97,6 +98,4 @@ def picture(data):
 
 
 if __name__ == "__main__":
-    data = main()
-    if RANK == 0:
-        fields.save(picture(data), "ring-shear-3d.png")
+    main(out=fields.directory())

@@ -6,9 +6,9 @@
 # modulus eta_t (`granumat wellposed`) of the points says what to expect. `WHERE_IT_FAILS.md` reads the map.
 
 # %%
-import sys
 from itertools import product
 
+import fields
 import numpy as np
 from annular_cell import PRESSURE, Watch, ring, save
 from matplotlib.figure import Figure
@@ -101,4 +101,4 @@ def draw(rows, moduli):
 
 
 if __name__ == "__main__":
-    main(out=sys.argv[1] if len(sys.argv) > 1 else "results/where_it_fails")
+    main(out=fields.directory())

@@ -1,7 +1,26 @@
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from granumat import Material
+
+CALCULIX = Path(__file__).resolve().parents[1] / "demos/linking/calculix"
+NO_DOWNLOAD = 69            # exit status of its build.sh
+
+
+@pytest.fixture(scope="session")
+def calculix():
+    """CalculiX is there, and the modules of demos/linking/calculix can be imported."""
+    built = subprocess.run([CALCULIX / "build.sh"], capture_output=True, text=True)
+    if built.returncode == NO_DOWNLOAD:
+        pytest.skip(f"CalculiX's source cannot be downloaded, nor was it before: {built.stderr.strip()}")
+    assert built.returncode == 0, built.stdout + built.stderr
+    sys.path.insert(0, str(CALCULIX))
+    yield
+    sys.path.remove(str(CALCULIX))
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 set -eu
 cd "$(dirname "$0")/.."
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
+./install-packages.sh python3-gmsh
 ./build.sh release debug
 
 export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg

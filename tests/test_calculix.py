@@ -1,8 +1,6 @@
 """The UMAT in CalculiX: demos/linking/calculix against the single-point driver and against a solver of our own."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,22 +9,14 @@ import pytest
 from plane_strain import block_reaction
 
 ROOT = Path(__file__).resolve().parents[1]
-DEMO = ROOT / "demos/linking/calculix"
-NO_DOWNLOAD = 69            # exit status of build.sh
 PRINTED = 1e-6              # CalculiX prints seven digits
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory):
+def demo(calculix, tmp_path_factory):
     """What the demo's main returns."""
-    built = subprocess.run([DEMO / "build.sh"], capture_output=True, text=True)
-    if built.returncode == NO_DOWNLOAD:
-        pytest.skip(f"CalculiX's source cannot be downloaded, nor was it before: {built.stderr.strip()}")
-    assert built.returncode == 0, built.stdout + built.stderr
-    sys.path.insert(0, str(DEMO))
     import run
-    yield run.main(tmp_path_factory.mktemp("calculix"))
-    sys.path.remove(str(DEMO))
+    return run.main(tmp_path_factory.mktemp("calculix"))
 
 
 @pytest.mark.parametrize("name", ["volume", "pressure", "platen", "moving-platen", "biaxial", "rotation", "log-u", "cutback"])

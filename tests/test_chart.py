@@ -81,6 +81,55 @@ def test_the_cores_rk4_and_numpys_err_alike(reversal):
         assert getattr(cut(reversal, "rk4")[1], name) == pytest.approx(getattr(cut(reversal, "NumPy RK4")[1], name), rel=1e-3)
 
 
+@pytest.mark.parametrize("scene", ["reversal", "huge"])
+def test_numpy_takes_pieces_until_it_errs_no_more_than_exact_or_1e_12(scene, request):
+    rows = request.getfixturevalue(scene)
+    *before, last = cut(rows, "NumPy RK4").values()
+    assert last.error <= chart.finest(rows) < min(row.error for row in before)
+    assert [row.pieces for row in before] == [2**k for k in range(len(before))]
+
+
+def row(method, ns, error, spin="inside", pieces=1):
+    return chart.Row("made up", method, spin, pieces, None, error, 0.0, error / 2, 0.0, 0.0, 0.0, ns, "ok")
+
+
+EXACT = row("exact", 100.0, 1e-13)
+
+
+@pytest.mark.parametrize("rivals, expected", [
+    ([row("rk4", 99.0, 1e-5), row("midpoint", 50.0, 1e-4)], 0),             # of two that are faster the more accurate
+    ([row("rk4", 99.0, 1e-14)], 0),
+    ([row("rk4", 101.0, 1e-14), row("rk4", 100.0, 1e-14)], None),           # more accurate, but not faster
+    ([row("exact", 99.0, 1e-14, pieces=2)], None),                          # no rival of itself
+    ([row("rk4", 101.0, 1e-14), row("exact", 99.0, 1e-2, spin="before")], 1),
+])
+def test_ahead_of_exact_is_what_is_faster_and_most_accurate(rivals, expected):
+    assert chart.ahead([EXACT, *rivals]) is (None if expected is None else rivals[expected])
+
+
+def test_the_front_tells_what_beats_exact_in_both_from_what_is_only_faster():
+    said = chart.front({
+        "behind": [EXACT, row("rk4", 101.0, 1e-14)], "coarse": [EXACT, row("midpoint", 50.0, 2e-3)],
+        "quick": [EXACT, row("midpoint", 50.0, 5e-4)], "level": [EXACT, row("forward-euler", 99.0, 9e-14)]})
+    both, faster = said.split("\n\n")
+    assert "in 1 of 4 scenes: level: forward-euler, 1 piece (99 ns, 9e-14; exact 100 ns, 1e-13)" in both and "quick" not in both
+    assert "in 2 of 4 scenes" in faster and "quick: midpoint" in faster and "level: forward-euler" in faster
+    assert not any(name in said for name in ("behind", "coarse"))
+    assert chart.front({"behind": [EXACT, row("rk4", 101.0, 1e-14)]}).count("in 0 of 1 scenes") == 2
+
+
+def test_ratios_at_equal_error_over_scenes():
+    numpy = [row("NumPy RK4", 1000.0, 1e-6), row("NumPy RK4", 500.0, 2e-6), row("NumPy RK4", 3000.0, 1e-12)]
+    rough = row("exact", 50.0, 1e-10)
+    said = chart.equal_error({"a": [EXACT, *numpy], "b": [rough, *numpy[:2]], "c": [rough, row("NumPy RK4", 2500.0, 9e-11)]})
+    lines = [line.strip("| ").split(" | ") for line in said.split("\n")]
+    table = {tuple(cells[:2]): cells[2:] for cells in lines}
+    assert table["NumPy, aim 20", "1e-06"] == ["10", "20", "0 of 3", "a 10"]          # 10, 20, 50
+    assert table["NumPy, aim 20", "1e-09"] == ["30", "50", "1 of 3", "none"]          # 30, not reached, 50
+    assert table["NumPy, aim 20", "of exact"] == ["30", "50", "1 of 3", "none"]       # below 1e-12, 1e-10, 1e-10
+    assert table["SciPy, aim 1000", "1e-06"] == ["inf", "inf", "3 of 3", "none"]
+
+
 def test_refused_runs_are_marked_and_drawn_on_the_edge(huge):
     refused = [row for row in huge if row.status.startswith("refused at")]
     assert refused and all(math.isinf(row.error) for row in refused)

@@ -172,12 +172,12 @@ def print_sizes(sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000)):
         print(f"  {n:>10} {seconds / n * 1e9:7.0f} ns")
 
 
-def print_peers(names=("reversal", "cycles-pressure", "random-spin")):
-    """Beside a NumPy Runge-Kutta of the whole batch and SciPy point by point, in scenes of the chart."""
+def print_peers():
+    """Beside a NumPy Runge-Kutta of the whole batch and SciPy point by point, over the scenes of the chart."""
     from . import chart
-    scenes = {name: chart.measure(name, rounds=5) for name in names}
-    print("the fastest of NumPy in the batch, and of SciPy point by point, to reach an error: time over the update's")
-    print(chart.peers(scenes))
+    scenes = {name: chart.measure(name, rounds=5) for name in chart.SCENES}
+    print("the fastest of NumPy in the batch, and of SciPy point by point, to reach an error: time over the update's, over "
+          f"{len(scenes)} scenes\n(of exact: its own error, at least {chart.FINEST:.0e})\n{chart.equal_error(scenes)}")
 
 
 def newton_residuals(increment=0.02):

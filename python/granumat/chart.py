@@ -29,12 +29,15 @@ POINTS_BY_SCIPY = 4
 ROUNDS = 25                               # of timing, all contenders in turn; the median counts
 BUDGET = 0.12                             # seconds in all after which a contender rests
 PIECES = tuple(2**k for k in range(7))    # of a given increment
+PIECES_BY_NUMPY = tuple(2**k for k in range(12))              # up to the first that errs no more than FINEST or exact
 TOLERANCES = tuple(10.0**-k for k in range(2, 13, 2))
 TARGETS = (1e-3, 1e-6, 1e-9)              # errors to be reached, in the table
+FINEST = 1e-12                            # and at best: the reference is no better
+PEERS = {"NumPy": 20, "SciPy": 1000}      # how many times as long they are to take as exact
 
 CUT = {"inside": ("forward-euler", "midpoint", "rk4", "backward-euler"), "before": ("exact", "rk4", "backward-euler")}
 NUMPY = "NumPy RK4"
-SCIPY = {"DOP853": 1e-12, "LSODA": 1e-12, "Radau": 1e-8}        # and the tightest rtol that is tried
+SCIPY = {"DOP853": (*TOLERANCES, 3e-14), "LSODA": TOLERANCES, "Radau": TOLERANCES[:4]}      # and the values of rtol
 COLUMNS = ("scene", "method", "spin", "pieces", "tolerance", "error_A", "error_Z2", "error_sigma",
            "end_A", "end_Z2", "end_sigma", "ns_per_update", "status")
 
@@ -140,13 +143,13 @@ def contenders(scene):
 
     material, gradients = Material(**scene.definition), rates.components_first(scene.gradients)
     y, few = rates.unknowns(material, scene.states), slice(None, None, max(1, len(scene.states) // POINTS_BY_SCIPY))
-    for pieces in PIECES:
+    for pieces in PIECES_BY_NUMPY:
         found.append(Contender(NUMPY, "inside", pieces, None, slice(None),
                                functools.partial(run_numpy, material, y, gradients, pieces)))
-    for method, tightest in SCIPY.items():
+    for method, tolerances in SCIPY.items():
         found += [Contender(f"SciPy {method}", "inside", None, rtol, few,
                             functools.partial(run_scipy, material, y[:, few], gradients[..., few], method, rtol))
-                  for rtol in TOLERANCES if rtol >= 0.9 * tightest]
+                  for rtol in tolerances]
     return found
 
 
@@ -162,29 +165,35 @@ def errors(path, exact, kappa):
     return [float(part.max()) for part in parts] + [float(part[-1]) for part in parts]
 
 
+def _run(runner):
+    """Seconds, path, what was refused."""
+    start = time.thread_time()
+    with np.errstate(all="ignore"):
+        path, refused = runner.run()
+    return time.thread_time() - start, path, refused
+
+
 def measure(name, points=POINTS, rounds=ROUNDS):
     """Rows of a scene: every contender once for its errors, and in turn up to `rounds` times for its time."""
     scene = SCENES[name](points)
     material = Material(**scene.definition)
     exact = rates.reference(material, rates.unknowns(material, scene.states), rates.components_first(scene.gradients))
-    runners, seconds, outcomes = contenders(scene), {}, {}
-    for turn, (i, runner) in itertools.product(range(rounds), enumerate(runners)):
-        if turn and sum(seconds[i]) > BUDGET:
-            continue
-        start = time.thread_time()
-        with np.errstate(all="ignore"):
-            path, refused = runner.run()
-        seconds.setdefault(i, []).append(time.thread_time() - start)
-        if not turn:
-            path = as_results(path) if path.dtype == STATE else path
-            worst = errors(path, exact[..., runner.points], material["kappa"])
-            outcomes[i] = [np.inf] * 6 if refused else worst, refused or ("ok" if np.isfinite(worst).all() else "not finite")
-    rows = []
-    for i, runner in enumerate(runners):
-        updates = len(exact) * len(range(points)[runner.points])
-        ns = statistics.median(seconds[i]) / updates * 1e9
-        rows.append(Row(name, *runner[:4], *outcomes[i][0], ns, outcomes[i][1]))
-    return rows
+    rows, runners, times = [], [], []
+    for runner in contenders(scene):
+        if runner.method == NUMPY and best([row for row in rows if row.method == NUMPY], finest(rows)):
+            continue                                          # more pieces would only take longer
+        seconds, path, refused = _run(runner)
+        path = as_results(path) if path.dtype == STATE else path
+        worst = errors(path, exact[..., runner.points], material["kappa"])
+        status = refused or ("ok" if np.isfinite(worst).all() else "not finite")
+        rows.append(Row(name, *runner[:4], *([np.inf] * 6 if refused else worst), seconds, status))
+        runners.append(runner)
+        times.append([seconds])
+    for _, (runner, seconds) in itertools.product(range(rounds - 1), zip(runners, times)):
+        if sum(seconds) <= BUDGET:
+            seconds.append(_run(runner)[0])
+    updates = [len(exact) * len(range(points)[runner.points]) for runner in runners]
+    return [row._replace(ns_per_update=statistics.median(seconds) / n * 1e9) for row, seconds, n in zip(rows, times, updates)]
 
 
 # ---- what it says ----------------------------------------------------------------------------------------------------
@@ -199,16 +208,30 @@ def best(rows, target):
     return min((row for row in rows if row.error <= target), key=lambda row: row.ns_per_update, default=None)
 
 
-def better(rows):
-    """Rows both faster and more accurate than exact."""
+def finest(rows):
+    """The error of exact, or FINEST where that is smaller."""
+    return max(FINEST, exact_row(rows).error)
+
+
+def ahead(rows):
+    """The most accurate rival that is faster than exact, or None: to any smaller error exact is the fastest way.
+
+    With the smaller error of the two it is ahead in both, and exact not on the front of the chart.
+    """
     exact = exact_row(rows)
-    return [row for row in rows if row.ns_per_update < exact.ns_per_update and row.error < exact.error]
+    faster = [row for row in rows if (row.method, row.spin) != ("exact", "inside") and row.ns_per_update < exact.ns_per_update]
+    return min(faster, key=lambda row: row.error, default=None)
 
 
 def named(row):
     """Method and setting of a row, in words."""
     setting = f"tolerance {row.tolerance:.0e}" if row.tolerance else f"{row.pieces} piece{'s' if row.pieces > 1 else ''}"
     return f"{row.method}{', spin before' if row.spin == 'before' else ''}, {setting}"
+
+
+def _cost(row):
+    """Time and error of a row, in words."""
+    return f"{row.ns_per_update:,.0f} ns, {row.error:.0e}"
 
 
 def _ratio(exact, row):
@@ -226,9 +249,8 @@ def _fastest(scenes):
     for name, rows in scenes.items():
         exact = exact_row(rows)
         found = [best([row for row in rows if row.method != "exact"], target) for target in TARGETS]
-        cells = [f"{named(row)} ({row.ns_per_update:,.0f} ns, {row.error:.0e}): {_ratio(exact, row)}" if row else "none"
-                 for row in found]
-        lines.append(f"| {name} | {exact.ns_per_update:,.0f} ns, {exact.error:.0e} | {' | '.join(cells)} |")
+        cells = [f"{named(row)} ({_cost(row)}): {_ratio(exact, row)}" if row else "none" for row in found]
+        lines.append(f"| {name} | {_cost(exact)} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
@@ -243,10 +265,40 @@ def peers(scenes):
     return "\n".join(lines)
 
 
+def front(scenes):
+    """In words: where something is ahead of exact, by both time and error, or at an error that matters."""
+    faster, both = [], []
+    for name, rows in scenes.items():
+        row, exact = ahead(rows), exact_row(rows)
+        if row and row.error < TARGETS[0]:
+            said = f"{name}: {named(row)} ({_cost(row)}; exact {_cost(exact)})"
+            faster.append(said)
+            both += [said] if row.error < exact.error else []
+    return f"""Both faster and more accurate than exact, in {len(both)} of {len(scenes)} scenes: {"; ".join(both) or "nothing"}
+
+Faster at an error below {TARGETS[0]:.0e}, in {len(faster)} of {len(scenes)} scenes (of each the most accurate):
+{"; ".join(faster) or "nothing"}"""
+
+
+def equal_error(scenes):
+    """Markdown: over scenes, how many times as long as exact the peers take to an error; what they cannot reach is infinite."""
+    lines = ["| | error | least | median | not reached | below the aim |", "|---" * 6 + "|"]
+    for peer, aim in PEERS.items():
+        for target in (*TARGETS[1:], None):
+            ratios = {}
+            for name, rows in scenes.items():
+                row = best([row for row in rows if row.method.startswith(peer)], target or finest(rows))
+                ratios[name] = row.ns_per_update / exact_row(rows).ns_per_update if row else np.inf
+            values = list(ratios.values())
+            below = [f"{name} {ratio:.3g}" for name, ratio in sorted(ratios.items(), key=lambda item: item[1]) if ratio < aim]
+            cells = [f"{peer}, aim {aim}", f"{target:.0e}" if target else "of exact", f"{min(values):.3g}",
+                     f"{statistics.median(values):.3g}", f"{values.count(np.inf)} of {len(values)}", ", ".join(below) or "none"]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def summary(scenes):
     """What the rows of all scenes say, in Markdown."""
-    beaten = [f"{name}: {named(row)} ({row.ns_per_update:,.0f} ns, {row.error:.1e} against {exact_row(rows).error:.1e})"
-              for name, rows in scenes.items() for row in better(rows)]
     return f"""The fastest competitor to reach an error (time per point and increment, its error): its time over exact's
 
 {_fastest(scenes)}
@@ -255,7 +307,11 @@ The fastest of NumPy in the batch, and of SciPy point by point, to reach an erro
 
 {peers(scenes)}
 
-Both faster and more accurate than exact: {"; ".join(beaten) or "nothing"}"""
+The same over all scenes; "of exact": exact's own error, at least {FINEST:.0e}
+
+{equal_error(scenes)}
+
+{front(scenes)}"""
 
 
 # ---- pictures --------------------------------------------------------------------------------------------------------

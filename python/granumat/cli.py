@@ -3,6 +3,7 @@
 import argparse
 import logging
 import sys
+import time
 import traceback
 import warnings
 from pathlib import Path
@@ -12,6 +13,7 @@ from .errors import GranumatError
 from .paths import read_path_file
 from .scenes import SCENES
 
+PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to have it too
 SAID_ON_SCREEN = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
 
 
@@ -81,15 +83,25 @@ def run_solve(options):
         raise ImportError(f"granumat solve needs DOLFINx (Debian: python3-dolfinx): {error}") from None
     logging.captureWarnings(False)                               # DOLFINx's compiler has taken them for its log
     options.quiet = MPI.COMM_WORLD.rank > 0
+    apart = MPI.COMM_WORLD.Dup()
     try:
         problem, written = scene.solve(options.scene, options.out, options.resume, progress=sys.stderr)
-    except (ValueError, OSError, ImportError, GranumatError):
-        raise                                                    # on all ranks
-    except BaseException:
-        traceback.print_exc()
-        MPI.COMM_WORLD.Abort(1)                                  # or the other ranks wait for ever
+    except BaseException as error:
+        expected = isinstance(error, (ValueError, OSError, ImportError, GranumatError))
+        if not (expected and _all_come_here(apart)):
+            traceback.print_exc()
+            MPI.COMM_WORLD.Abort(1)                              # or the other ranks wait for ever
+        raise
     if not options.quiet:
         print(f"t = {problem.t:g} after {problem.increments} increments", *(f"wrote {path}" for path in written), sep="\n")
+
+
+def _all_come_here(comm):
+    """Whether all ranks do within a few seconds."""
+    request, end = comm.Ibarrier(), time.monotonic() + PATIENCE
+    while not (come := request.Test()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return come
 
 
 def run_figures(options):

@@ -28,8 +28,9 @@ def whole():
     return turned()
 
 
-def test_turning_and_turning_back_follows_the_radial_solution():
-    data = annulus.main(**annulus.SHORT)                  # asserts torque, iterations, scatter
+def test_turning_and_turning_back_follows_the_radial_solution(tmp_path):
+    data = annulus.main(**annulus.SHORT, out=tmp_path)    # asserts torque, iterations, scatter
+    assert (tmp_path / "annulus.png").exists()
     for wall, (columns, _, _) in data["runs"].items():
         exact = data["radial"][wall]
         assert columns["path"] == pytest.approx(exact["path"])                       # no increment was cut
@@ -75,8 +76,10 @@ def test_hexahedra_between_two_planes_agree_with_quadrilaterals(whole):
     assert solid["scatter"].max() < 1e-9
 
 
-def test_where_it_fails_without_an_elastic_strain():
-    for row in where_it_fails.main(**where_it_fails.SHORT):
+def test_where_it_fails_without_an_elastic_strain(tmp_path):
+    rows = where_it_fails.main(**where_it_fails.SHORT, out=tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"where_it_fails.csv", "where_it_fails.png"}
+    for row in rows:
         if row["elastic_strain"] == 0:
             assert row["reached"] == 0 and "does not converge" in row["why"]
         else:
@@ -84,8 +87,9 @@ def test_where_it_fails_without_an_elastic_strain():
             assert (row["eta_t"] < 0) == (row["closure"] == "basic")
 
 
-def test_only_a_rate_term_gives_the_sheared_zone_a_width():
-    rows = regularisation.main(**regularisation.SHORT)               # asserts the widths
+def test_only_a_rate_term_gives_the_sheared_zone_a_width(tmp_path):
+    rows = regularisation.main(**regularisation.SHORT, out=tmp_path)         # asserts the widths
+    assert {path.name for path in tmp_path.iterdir()} == {"regularisation.csv", "regularisation.png"}
     slow, fast = ({row["rings"]: row["torque"] for row in rows if row["rate_term"] == alpha} for alpha in (0.0, 0.05))
     assert abs(fast[16] / fast[8] - 1) < 0.01 < abs(slow[16] / slow[8] - 1)
     assert fast[16] > 1.3 * slow[16]

@@ -84,12 +84,12 @@ def test_killed_on_two_ranks_it_ends_alike_on_one_and_three(mpirun, tmp_path):
             np.testing.assert_allclose(again["p"], whole["p"], rtol=1e-9)
 
 
-def problem(cells=(3, 2), closure="full", degree=1, size=(1.0, 1.0), mu=0.5, conditions=()):
+def problem(cells=(3, 2), closure="full", degree=1, size=(1.0, 1.0), mu=0.5, conditions=(), phi=0.6, held=0, **options):
     material = Material(mu, closure=closure, elastic_strain=1e-2)
-    bottom = fem.Displacement(lambda x: np.isclose(x[1], 0))
+    bottom = fem.Displacement(lambda x: np.isclose(x[1], 0), held)
     top = fem.Displacement(lambda x: np.isclose(x[1], size[1]), lambda x, t: [0.01 * t, 0])
-    return fem.Problem(fem.meshes.box(MPI.COMM_WORLD, size, cells), material, material.isotropic(0.6, pressure=0.01),
-                       [bottom, top, *conditions], degree=degree)
+    return fem.Problem(fem.meshes.box(MPI.COMM_WORLD, size, cells), material, material.isotropic(phi, pressure=0.01),
+                       [bottom, top, *conditions], degree=degree, **options)
 
 
 @pytest.fixture
@@ -115,13 +115,17 @@ def test_what_is_resumed_is_what_was_left(checkpoint):
 
 
 def test_a_checkpoint_of_another_problem_is_refused_with_every_difference(checkpoint):
-    other = problem(closure="basic", degree=2, mu=0.4, conditions=[fem.Pressure(lambda x: np.isclose(x[0], 0), 0.01)])
+    other = problem(closure="basic", degree=2, mu=0.4, conditions=[fem.Pressure(lambda x: np.isclose(x[0], 0), 0.01)], phi=0.61,
+                    held=(0.01, 0), gravity=(0, -1e-3), rate_term=0.01)
     with pytest.raises(ValueError) as caught:
         fem.resume(checkpoint, other)
     for words in ("belongs to another problem", "degree: 1 in the checkpoint, 2 here",
                   "material's mu: 0.5 in the checkpoint, 0.4 here", "material's closure: 'full' in the checkpoint, 'basic' here",
-                  "conditions: 'Displacement, Displacement' in"):
+                  "condition 0: {'kind': 'Displacement', 'where': 'a function', 'value': 0, ", "'value': [0.01, 0.0], ",
+                  "condition 2: None in the checkpoint, {'kind': 'Pressure', 'where': 'a function', 'value': 0.01} here",
+                  "gravity: None in the checkpoint, [0.0, -0.001] here", "'volume_fraction': 0.61", "rate_term: 0.0 in"):
         assert words in str(caught.value), words
+    assert "condition 1" not in str(caught.value)                                  # a function, for all one can tell
     with pytest.raises(ValueError, match="number of cells: 6 in the checkpoint, 8 here"):
         fem.resume(checkpoint, problem(cells=(4, 2)))
     with pytest.raises(ValueError, match=r"positions of the nodes: up to 0\.1 apart"):

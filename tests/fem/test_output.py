@@ -75,6 +75,19 @@ def test_fields_hold_the_mesh_at_the_start_the_displacements_and_the_cells_state
     np.testing.assert_allclose(last["shear_strain"], problem.shear_strain[0], rtol=1e-9)
 
 
+def test_fields_of_a_long_run_go_on_in_further_files(tmp_path, monkeypatch):
+    fem.run(homogeneous(), 0.4, 0.05, observers=[fem.Fields(tmp_path / "b.xdmf")])
+    monkeypatch.setattr(fem.Fields, "LARGEST", 2000)                  # bytes: two records
+    fields = fem.Fields(tmp_path / "a.xdmf")
+    fem.run(homogeneous(), 0.35, 0.05, observers=[fields, fem.Checkpoint(tmp_path / "a.npz", [fields], every=6)])
+    assert sorted(path.name for path in tmp_path.glob("a*.bin")) == ["a.1.bin", "a.2.bin", "a.3.bin", "a.4.bin", "a.bin"]
+    problem, fields = homogeneous(), fem.Fields(tmp_path / "a.xdmf")
+    fem.resume(tmp_path / "a.npz", problem, [fields])                 # at 0.3, before the last of the files
+    fem.run(problem, 0.4, 0.05, observers=[fields])
+    for (t, _, arrays), (t_whole, _, expected) in zip(records(tmp_path / "a.xdmf"), records(tmp_path / "b.xdmf"), strict=True):
+        assert t == t_whole and all(np.array_equal(arrays[name], expected[name]) for name in expected)
+
+
 def test_cell_fields_are_means_by_volume():
     problem = homogeneous()
     problem.states.coordination_number = np.arange(len(problem.states))

@@ -157,6 +157,29 @@ def test_facet_tags_name_parts_of_the_boundary():
         fem.Problem(body, SAND, sand, [fem.Displacement(7)])
 
 
+def test_a_tangent_is_found_with_the_state_that_a_correction_follows(monkeypatch):
+    """Not with the last state; and where that state was expected to be the last and is not, afterwards."""
+    calls, update = [], Material._update
+
+    def counted(*arguments):
+        calls.append("state" if arguments[-1] is None else "both")
+        return update(*arguments)
+    monkeypatch.setattr(Material, "_update", counted)
+
+    def second_increment(tolerances):
+        problem = block([fem.Displacement(top, lambda x, t: [0.003 * t**2, -0.002 * t]), fem.Pressure(right, PRESSURE)])
+        solved(problem)
+        problem.tolerances = tolerances
+        calls.clear()
+        solved(problem)
+        return problem.displacement, len(problem.last.residuals) - 1
+    expected, corrections = second_increment(fem.Tolerances(correction=1e-4))
+    assert corrections > 1 and calls == ["both"] * corrections + ["state"]
+    found, corrections = second_increment(fem.Tolerances(correction=1e9))                  # any correction can be the last
+    assert corrections > 1 and calls == ["both", "state"] * corrections
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
 def squeezed():
     """The lid is pushed through the floor: the last increments cannot be solved."""
     return block([fem.Displacement(top, lambda x, t: [0, -t], components=[1]), fem.Pressure(right, PRESSURE)])

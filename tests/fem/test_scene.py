@@ -272,7 +272,7 @@ Mesh.CharacteristicLengthMax = 0.25;
 
 
 def test_a_gmsh_file_is_held_by_its_physical_names_and_numbers(tmp_path):
-    gmsh = pytest.importorskip("gmsh")
+    import gmsh
     gmsh.initialize()
     gmsh.option.setNumber("General.Terminal", 0)
     (tmp_path / "box.geo").write_text('SetFactory("OpenCASCADE");' + GEO)
@@ -327,3 +327,18 @@ def test_the_first_problem_of_readme_prints_what_readme_says(tmp_path, monkeypat
         exec(example, {})
     assert said.getvalue() == printed
     assert {path.name for path in tmp_path.iterdir()} == {"ring.xdmf", "ring.bin", "torque.csv", "phi-000025.png"}
+
+
+def test_an_error_of_one_rank_ends_the_others_that_wait_for_it(mpirun):
+    script = """
+from granumat import cli
+from granumat.fem import scene
+def solve(*_, **__):
+    if scene.MPI.COMM_WORLD.rank == 1:
+        raise ValueError("only here")
+    scene.MPI.COMM_WORLD.Barrier()
+scene.solve, cli.PATIENCE = solve, 0.5
+raise SystemExit(cli.main(["solve", "scene.toml", "--out", "out"]))
+"""
+    with pytest.raises(AssertionError, match=r"(?s)Traceback.*ValueError: only here"):
+        mpirun(script, 2)

@@ -49,18 +49,25 @@ def test_the_iterative_solver_gives_the_answer_of_the_direct_one(size, monkeypat
     assert solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED             # what converges is the residual
 
 
-def test_the_matrix_of_blocks_is_the_one_by_coordinates(monkeypatch):
-    monkeypatch.setattr(system, "DIRECT_UP_TO", NEVER)
-    for problem in (block((3, 3, 3)), bench.shear_cell(MPI.COMM_WORLD, 3)):
+@pytest.mark.parametrize("kind", ["aij", "baij"])
+def test_the_matrix_is_the_sum_of_the_cells_matrices_and_1_where_there_is_no_unknown(kind):
+    solver = {"mat_type": kind, "pc_type": "lu"}
+    for problem in (block((3, 3, 3), solver), bench.shear_cell(MPI.COMM_WORLD, 3, solver=solver)):
         equations = problem.system
         equations.matrices[:] = np.random.default_rng(0).normal(size=equations.matrices.shape)
-        equations.assemble()
-        x, y = equations._operator.createVecs()
-        x.setRandom()
-        z = y.duplicate()
-        equations._operator.mult(x, y)
-        equations._matrix.target.mult(x, z)
-        assert equations._operator.getType() == "seqbaij" and (y - z).norm() < 1e-13 * z.norm()
+        expected = np.zeros((equations.size, equations.size))
+        labels = problem._numbering.labels[problem._nodes].reshape(problem.cells, -1)
+        row, column = np.broadcast_arrays(labels[:, :, None], labels[:, None, :])
+        there = (row >= 0) & (column >= 0)
+        np.add.at(expected, (row[there], column[there]), equations.matrices[there])
+        unused = np.setdiff1d(np.arange(equations.size), labels)
+        assert len(unused) > 0
+        expected[unused, unused] = 1
+        for _ in range(2):                                                             # the second one is not added to the first
+            equations.assemble()
+        matrix = equations._matrix
+        assert matrix.getType() == f"seq{kind}"
+        assert abs(matrix.convert("dense").getDenseArray() - expected).max() < 1e-13
 
 
 def test_the_direct_solver_helps_where_the_iterative_one_fails(monkeypatch):

@@ -40,6 +40,8 @@ class Brick:
         Node numbers.
     """
 
+    POINTS = 8                                  # integration points of an element
+
     def __init__(self, counts, sizes, element="C3D8"):
         self.element, self.sizes = element, np.array(sizes, float)
         offsets = 2 * CORNERS                                    # on a lattice of half elements
@@ -62,6 +64,11 @@ class Brick:
         """Numbers of the elements with a side on a face."""
         return np.flatnonzero(np.isin(self.elements[:, :8], self.on(face)).sum(axis=1) == 4) + 1
 
+    def pressure(self, face, value):
+        """Rows of *DLOAD for a pressure on the face "x0" or "x1"."""
+        label = {"x0": "P6", "x1": "P4"}[face]
+        return "".join(f"{element},{label},{value}\n" for element in self.elements_at(face))
+
     def deck(self, constants, interface="@ABAQUS", stress=None):
         """Mesh and material; constants by name, those not given 0; stress (6,) that the elements start from."""
         values = [f"{constants.get(name, 0):.15g}" for name in CONSTANTS]
@@ -70,7 +77,7 @@ class Brick:
         text += f"*MATERIAL,NAME={interface}_GRANUMAT\n*USER MATERIAL,CONSTANTS={len(values)}\n" + _lines([values])
         text += f"*DEPVAR\n{N_STATEV}\n*SOLID SECTION,ELSET=ALL,MATERIAL={interface}_GRANUMAT\n"
         if stress is not None:
-            points = product(range(1, len(self.elements) + 1), range(1, 9))
+            points = product(range(1, len(self.elements) + 1), range(1, self.POINTS + 1))
             text += "*INITIAL CONDITIONS,TYPE=STRESS\n" + _lines((*point, *stress) for point in points)
         return text + HELD
 

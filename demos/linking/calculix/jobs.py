@@ -118,8 +118,8 @@ def biaxial_compression():
     deck = box.deck(CONSTANTS, stress=STRESS)
     for face, dof in (("x0", 1), ("y0", 2), ("y1", 2), ("z0", 3)):
         deck += boundary(box.on(face), [dof])
-    sides = "".join(f"{element},P4,{PRESSURE * UNIT}\n" for element in box.elements_at("x1"))
-    deck += step(80, boundary(box.on("z1"), [3], -0.08 * 2) + "*DLOAD,AMPLITUDE=HELD\n" + sides)
+    side = box.pressure("x1", PRESSURE * UNIT)
+    deck += step(80, boundary(box.on("z1"), [3], -0.08 * 2) + "*DLOAD,AMPLITUDE=HELD\n" + side)
     return Job("biaxial compression, constant side pressure", deck, states_of(driver.biaxial(0.08, increments=40)), every=2)
 
 

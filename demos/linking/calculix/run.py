@@ -63,7 +63,7 @@ def picture(outputs, jobs, reactions):
     for axes in (shear, curve):
         axes.legend(frameon=False)
         axes.grid(linewidth=0.3)
-    box, _ = block.deck(block.PROBLEM, "C3D20R")
+    box = block.brick(block.PROBLEM, "C3D20R")
     output = reactions["C3D20R"][2]
     corners = box.elements[:, [0, 1, 5, 4]] - 1                     # of the face y = 0, counter-clockwise
     moved = (box.nodes + output.displacement[-1])[:, [0, 2]]

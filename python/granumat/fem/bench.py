@@ -35,6 +35,7 @@ SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns
 SHEAR = 0.005                          # of an increment
 INCREMENTS = 2
 REPEATS = 5
+PAIRS = 3                              # of runs on one and on two ranks
 PHASES = ("material", "coupling", "assembly", "solution")
 
 
@@ -98,15 +99,16 @@ def measure(n, comm=MPI.COMM_WORLD):
     start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     problem = shear_cell(comm, n)
     problem.accept(problem.solve_increment(1.0))
-    newton = krylov = 0
+    problem.system.solver.setConvergenceHistory(reset=False)
+    newton = 0
     with _phases(problem) as seconds:
         for _ in range(INCREMENTS):
             trial = problem.solve_increment(1.0)
             newton += len(trial.residuals) - 1
-            krylov += problem.system.solver.getIterationNumber()
             problem.accept(trial)
     bytes_used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - start
-    found = {"unknowns": problem.system.size, "newton": newton, "krylov": round(krylov / INCREMENTS)}
+    krylov = len(problem.system.solver.getConvergenceHistory()) - newton           # each history begins with the right-hand side
+    found = {"unknowns": problem.system.size, "newton": newton, "krylov": round(krylov / newton)}
     found |= {phase: comm.allreduce(value, MPI.MAX) / newton for phase, value in seconds.items()}
     return found | {"iteration": comm.allreduce(sum(seconds.values()), MPI.MAX) / newton,
                     "bytes": comm.allreduce(bytes_used) / problem.system.size}
@@ -127,8 +129,7 @@ def measure_elasticity(n, krylov, matrix_type):
     left = fem.form(ufl.inner(stress(w), ufl.sym(ufl.grad(v))) * dx)
     right = fem.form(ufl.inner(stress(u), ufl.sym(ufl.grad(v))) * dx)
     matrix = petsc.create_matrix(left, matrix_type)
-    solver = make_solver(MPI.COMM_WORLD, {name: value for name, value in ITERATIVE.items() if name != "mat_type"}
-                         | {"ksp_convergence_test": "skip", "ksp_max_it": krylov})
+    solver = make_solver(MPI.COMM_WORLD, ITERATIVE | {"ksp_convergence_test": "skip", "ksp_max_it": krylov})
     u.x.array[:] = np.random.default_rng(0).normal(size=u.x.array.size)
     seconds = []
     for _ in range(REPEATS):
@@ -168,9 +169,11 @@ def print_fem(directory, n=CELLS, sizes=SIZES):
     for kind, seconds in elasticity.items():
         print(f"  {one['iteration'] / seconds:.2f} x an iteration of linear elasticity in UFL into {kind.upper()}, as many Krylov "
               "iterations")
-    two = statistics.median(_run([n], ranks=2)["iteration"] / _run([n])["iteration"] for _ in range(3))
+    pairs = [(_run([n], ranks=2), _run([n])) for _ in range(PAIRS)]
+    ratios = {name: statistics.median(two[name] / one[name] for two, one in pairs) for name in ("iteration", *PHASES)}
     busy = os.getloadavg()[0] / os.cpu_count()
-    print(f"  2 ranks take {two:.2f} of the time of 1 (median of 3; {busy:.1f} processes a processor meanwhile)")
+    print(f"  2 ranks take {ratios.pop('iteration'):.2f} of the time of 1 (median of {PAIRS}; {busy:.1f} processes a processor "
+          "meanwhile): " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
     print(f"{'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12}")
     growth = []
     for size in sizes:

@@ -82,7 +82,18 @@ def _fingerprint(problem):
     material = {f"material's {name}": value for name, value in problem.material.definition.items()}
     return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "dimension": problem.d,
             "shape of the cells": problem.mesh.topology.cell_type.name, "number of cells": problem.comm.allreduce(problem.cells),
-            "conditions": ", ".join(type(condition).__name__ for condition in problem.conditions) or "none"}
+            "gravity": _comparable(problem.gravity), "initial state": _comparable(problem.initial),
+            **{f"condition {number}": {"kind": type(condition).__name__} | {
+                name: _comparable(value) for name, value in vars(condition).items()}
+               for number, condition in enumerate(problem.conditions)}}
+
+
+def _comparable(value):
+    """A number, sequence or state as JSON has it; functions cannot be compared."""
+    if callable(value):
+        return "a function"
+    value = np.asarray(value)
+    return {name: value[name].tolist() for name in value.dtype.names} if value.dtype.names else value.tolist()
 
 
 def resume(path, problem, outputs=()):

@@ -114,7 +114,8 @@ class Output:
 class Fields(Output):
     """FIELDS of the cells and displacements of the vertices, as an XDMF time series over the mesh at the start.
 
-    The numbers lie beside it in a file of the same name that ends in .bin. In ParaView: "Warp by vector" by the displacement.
+    The numbers lie beside it in a file of the same name that ends in .bin, those of a long run in further ones, .1.bin, .2.bin ...
+    In ParaView: "Warp by vector" by the displacement.
 
     Parameters
     ----------
@@ -128,12 +129,24 @@ class Fields(Output):
 
     HEAD = '<?xml version="1.0"?>\n<Xdmf Version="3.0">\n<Domain>\n<Grid GridType="Collection" CollectionType="Temporal">\n'
     FOOT = "</Grid>\n</Domain>\n</Xdmf>\n"
+    LARGEST = 2**32                 # bytes of a file of numbers: two of ParaView's three XDMF readers count them in 32 bits
 
     def __init__(self, path, every=None, times=()):
         super().__init__(path, every, times)
-        self.numbers = self.path.with_suffix(".bin")
-        self.growing = (self.path, self.numbers)
-        self._surface = None
+        self._surface, self._files = None, 1
+
+    @property
+    def numbers(self):
+        """The files of numbers, all that there are so far on rank 0."""
+        return [self.path.with_suffix(f".{i}.bin" if i else ".bin") for i in range(self._files)]
+
+    @property
+    def growing(self):
+        return [self.path, *self.numbers]
+
+    def restore(self, position, comm):
+        self._files = max(1, len(position["sizes"]) - 1)
+        super().restore(position, comm)
 
     def _write(self, problem):
         if self._surface is None:
@@ -145,19 +158,22 @@ class Fields(Output):
 
     def _append(self, t, vertices, moved, fields):
         cells = vertices.cells[:, SHAPES[vertices.shape][1]].astype("<i4")
+        arrays = {"displacement": _in_space(moved)} | {name: np.asarray(values, "<f8") for name, values in fields.items()}
         new = self.written is None
-        with open(self.numbers, "wb" if new else "ab") as file:
+        start = 0 if new else self.numbers[-1].stat().st_size
+        if start and start + sum(values.nbytes for values in arrays.values()) > self.LARGEST:
+            self._files, start = self._files + 1, 0
+        with open(self.numbers[-1], "ab" if start else "wb") as file:
             if new:
                 file.write(cells.tobytes() + _in_space(vertices.positions).tobytes())
             start = file.tell()
-            arrays = {"displacement": _in_space(moved)} | {name: np.asarray(values, "<f8") for name, values in fields.items()}
             file.writelines(values.tobytes() for values in arrays.values())
         words = [f'<Grid>\n<Time Value="{t!r}"/>\n<Topology TopologyType="{SHAPES[vertices.shape][0]}" '
-                 f'NumberOfElements="{len(cells)}">{self._item(cells, 0)}</Topology>\n<Geometry GeometryType="XYZ">'
-                 f"{self._item(_in_space(vertices.positions), cells.nbytes)}</Geometry>\n"]
+                 f'NumberOfElements="{len(cells)}">{self._item(cells, 0, 0)}</Topology>\n<Geometry GeometryType="XYZ">'
+                 f"{self._item(_in_space(vertices.positions), 0, cells.nbytes)}</Geometry>\n"]
         for name, values in arrays.items():
             kind, place = "Vector" if values.ndim == 2 else "Scalar", "Node" if name == "displacement" else "Cell"
-            words.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{place}">{self._item(values, start)}'
+            words.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{place}">{self._item(values, -1, start)}'
                          "</Attribute>\n")
             start += values.nbytes
         with open(self.path, "wb" if new else "rb+") as file:
@@ -167,10 +183,10 @@ class Fields(Output):
                 file.seek(-len(self.FOOT), os.SEEK_END)
             file.write(("".join(words) + "</Grid>\n" + self.FOOT).encode())
 
-    def _item(self, values, seek):
+    def _item(self, values, number, seek):
         kind = "Int" if values.dtype.kind == "i" else "Float"
         return (f'<DataItem Dimensions="{" ".join(map(str, values.shape))}" NumberType="{kind}" Precision="{values.itemsize}" '
-                f'Format="Binary" Endian="Little" Seek="{seek}">{self.numbers.name}</DataItem>')
+                f'Format="Binary" Endian="Little" Seek="{seek}">{self.numbers[number].name}</DataItem>')
 
     def _cut(self, sizes):
         super()._cut(sizes)

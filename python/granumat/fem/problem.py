@@ -60,6 +60,8 @@ class Trial:
     gradients : array (points, 3, 3)
         du_i/dx_j of the increment as the material got it.
     volumes : array (cells, points per cell)
+    tangent : array or None
+        The material's, until it is used.
     forces : array (cells, nodes per cell, d)
         What the cells' nodes need from outside: internal forces less loads.
     residuals : list of float
@@ -74,6 +76,7 @@ class Trial:
     gradients: np.ndarray = None
     volumes: np.ndarray = None
     stress: np.ndarray = None
+    tangent: np.ndarray = None
     forces: np.ndarray = None
     residual: float = np.inf
     residuals: list = field(default_factory=list)
@@ -148,7 +151,7 @@ class Problem:
                    for number, condition in enumerate(conditions) if not isinstance(condition, kinds)]
         refuse("the problem cannot be set up", faults)
         self.mesh, self.material, self.degree, self.conditions = mesh, material, degree, tuple(conditions)
-        self.rate_term, self.tolerances = rate_term, tolerances
+        self.rate_term, self.gravity, self.initial, self.tolerances = rate_term, gravity, state, tolerances
         self.comm, self.d = mesh.comm, d
         self._facet_tags = facet_tags
         self.space = vector_space(mesh, degree)
@@ -272,9 +275,9 @@ class Problem:
         """
         t = self.t + duration
         target = self._numbering.given(t) - self._numbering.to_axes(self.displacement)
-        trial = self._evaluate(self._guess(target, duration), duration)
+        trial = self._evaluate(self._guess(target, duration), duration, True)
         if trial.failure:
-            trial = self._evaluate(np.zeros_like(self.displacement), duration)
+            trial = self._evaluate(np.zeros_like(self.displacement), duration, True)
         residuals = trial.residuals = [trial.residual]
         if trial.residual <= SURE * self.tolerances.force and self._largest(self._missing(target, trial)) <= ROUND_OFF * self._size:
             return trial
@@ -286,14 +289,13 @@ class Problem:
             if correction is None:
                 trial.failure = "the linear solver does not converge"
                 return trial
-            trial, part = self._search(trial, correction, missing, duration)
+            settled = self.tolerances.correction * self._largest(trial.u + correction) + ROUND_OFF * self._size
+            last = trial.residual <= self.tolerances.force or self._largest(correction) <= settled
+            trial, part = self._search(trial, correction, missing, duration, not last)
             residuals.append(trial.residual)
             trial.residuals = residuals
-            if not trial.failure and part == 1:
-                settled = self.tolerances.correction * self._largest(trial.u) + ROUND_OFF * self._size
-                if max(residuals[-2:]) <= self.tolerances.force or (
-                        trial.residual <= self.tolerances.force and self._largest(correction) <= settled):
-                    return trial
+            if last and part == 1 and not trial.failure and trial.residual <= self.tolerances.force:
+                return trial
         trial.failure = (f"Newton's iteration does not converge: relative residual {trial.residual:.1e} "
                          f"after {self.tolerances.iterations} iterations")
         return trial
@@ -302,7 +304,7 @@ class Problem:
         """Takes a solved trial as the new state of the problem."""
         if trial.failure:
             raise ValueError(f"the trial was not solved: {trial.failure}")
-        self._last_duration = trial.t - self.t
+        self._last_duration, trial.tangent = trial.t - self.t, None
         self.t, self.increments, self.last = trial.t, self.increments + 1, trial
         self.displacement = self.displacement + trial.u
         self.states = trial.states
@@ -326,8 +328,9 @@ class Problem:
     def _kinematics(self, x, u):
         return _core.core_element_gradients(self._mean, self._element.gradients, self._element.weights, x, u)
 
-    def _evaluate(self, u, duration):
-        """The trial of displacements u (nodes, d): states, forces, residual; or why it cannot be."""
+    def _evaluate(self, u, duration, with_tangent=False):
+        """The trial of displacements u (nodes, d): states, forces, residual, the tangent if a correction is expected to need it
+        (together they cost less than one after the other); or why it cannot be."""
         trial = Trial(self.t + duration, u)
         x, du = self._at_cells(self.positions + self.displacement), self._at_cells(u)
         gradients, trial.volumes, status = self._kinematics(x, du)
@@ -338,7 +341,10 @@ class Problem:
         trial.gradients = gradients.reshape(-1, 3, 3)
         if not failed:
             try:
-                trial.states = self.material.update(self.states, trial.gradients)
+                if with_tangent:
+                    trial.states, trial.tangent = self._update_with_tangent(trial.gradients)
+                else:
+                    trial.states = self.material.update(self.states, trial.gradients)
             except MaterialError as error:
                 trial.states = error.states
                 first = int(np.flatnonzero(error.status)[0])
@@ -361,12 +367,16 @@ class Problem:
         shear = tensors.deviator(tensors.symmetric(gradients))
         return stress - self.rate_term / duration * tensors.trace(stress)[:, None] / 3 * shear
 
+    def _update_with_tangent(self, gradients):
+        """The states and the material's tangent by (strain, spin), (points, 6, 9), or (points, 6, 4) in plane strain."""
+        return self.material.update_with_tangent(self.states, gradients, spin=True, plane=self.d == 2)
+
     def _tangent(self, trial, duration):
-        """d stress / d (strain, spin), (points, 6, 9), or (points, 6, 4) in plane strain."""
-        plane = self.d == 2
-        _, tangent = self.material.update_with_tangent(self.states, trial.gradients, spin=True, plane=plane)
+        """d stress / d (strain, spin), which the trial then no longer has."""
+        tangent = self._update_with_tangent(trial.gradients)[1] if trial.tangent is None else trial.tangent
+        trial.tangent = None
         strain = np.eye(6, 9) * [1, 1, 1, 0.5, 0.5, 0.5, 0, 0, 0]
-        if plane:
+        if self.d == 2:
             strain = strain[:, [0, 1, 3, 6]]
         loose = tensors.trace(trial.states.stress) > -LOOSE
         tangent[loose] += LOOSE * strain
@@ -413,12 +423,12 @@ class Problem:
         solution = self.system.solve(-forces)
         return None if solution is None else self._numbering.from_axes(solution + missing)
 
-    def _search(self, trial, correction, missing, duration):
-        """The whole correction or, where it fails or does not lower the residual, a part of it."""
+    def _search(self, trial, correction, missing, duration, with_tangent):
+        """The whole correction or, where it fails or does not lower the residual, a part of it; the tangent with the whole one."""
         comparable = self._largest(missing) <= ROUND_OFF * self._largest(correction)
         part, best = 1.0, None
         while part >= LARGEST_CUT:
-            candidate = self._evaluate(trial.u + part * correction, duration)
+            candidate = self._evaluate(trial.u + part * correction, duration, with_tangent and part == 1)
             if not candidate.failure and (not comparable or candidate.residual <= (1 - SUFFICIENT * part) * trial.residual
                                           or candidate.residual <= self.tolerances.force):
                 return candidate, part

@@ -1,4 +1,4 @@
-"""The linear system: element matrices and vectors into PETSc's, by coordinates, and its solution."""
+"""The linear system: element matrices and vectors into PETSc's, and its solution."""
 
 import ctypes
 import re
@@ -10,13 +10,16 @@ import numpy as np
 from petsc4py import PETSc
 
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
-_INSERT = 1
+_Int = np.ctypeslib.as_ctypes_type(PETSc.IntType)
+_ADD = int(PETSc.InsertMode.ADD)
+for _name in ("MatSetValues", "MatSetValuesBlocked"):
+    getattr(_petsc, _name).argtypes = [ctypes.c_void_p, *(_Int, ctypes.c_void_p) * 2, ctypes.c_void_p, ctypes.c_int]
 ERROR_IN_LIBRARY = 76              # PETSc's number for what MUMPS makes of some matrices that it cannot factorise
-DIRECT = {"ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
+DIRECT = {"mat_type": "baij", "ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # The norm is that of the residual itself, from the right: matrices after a reversal or where shear localises are indefinite, and
 # there preconditioned residuals fall while the residual does not. In steady shear nothing hardens: the matrix is nearly singular
 # and no iteration gets there, so it gives up early.
-ITERATIVE = {"mat_type": "baij", "ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 200, "ksp_rtol": 1e-6,
+ITERATIVE = {"mat_type": "baij", "ksp_type": "gmres", "ksp_pc_side": "right", "ksp_gmres_restart": 200, "ksp_rtol": 1e-3,
              "ksp_max_it": 400, "pc_type": "bjacobi"}               # of which each block has an incomplete factor
 DIRECT_UP_TO = {2: 400_000, 3: 5_000}                  # unknowns, by dimension: the direct solver comes first
 DIRECT_AT_MOST = {2: 2_000_000, 3: 100_000}            # it comes where the iterative solver fails; beyond, its memory counts
@@ -25,28 +28,6 @@ DIRECT_AT_MOST = {2: 2_000_000, 3: 100_000}            # it comes where the iter
 def _check(error):
     if error:
         raise PETSc.Error(error)
-
-
-def _pointer(array):
-    return array.ctypes.data_as(ctypes.c_void_p)
-
-
-class _Coordinates:
-    """Values at given coordinates (int arrays, one for a vector, two for a matrix), summed where they meet; negative ones are left
-    out."""
-
-    def __init__(self, target, kind, *indices):
-        self.target, self._kind = target, kind
-        self._size = indices[0].size
-        preallocate = getattr(_petsc, f"{kind}SetPreallocationCOO")
-        _check(preallocate(ctypes.c_void_p(target.handle), ctypes.c_int64(self._size), *map(_pointer, indices)))
-
-    def set(self, values):
-        values = np.ascontiguousarray(values, PETSc.ScalarType)
-        if values.size != self._size:
-            raise ValueError(f"{values.size} values for {self._size} coordinates")
-        _check(getattr(_petsc, f"{self._kind}SetValuesCOO")(ctypes.c_void_p(self.target.handle), _pointer(values), _INSERT))
-        return self.target
 
 
 class System:
@@ -75,31 +56,17 @@ class System:
 
     def __init__(self, comm, owned, block, cell_labels, labels, options):
         self.size = comm.allreduce(owned)
-        size = (owned, self.size)
-        cell_labels = cell_labels.astype(PETSc.IntType)
-        right = PETSc.Vec().create(comm=comm)
-        right.setSizes(size)
-        right.setBlockSize(block)
-        right.setType("standard")
-        right.setOption(PETSc.Vec.Option.IGNORE_NEGATIVE_INDICES, True)
-        self._right = _Coordinates(right, "Vec", cell_labels.ravel())
-        self._solution = right.duplicate()
-        unused = np.flatnonzero(self._right.set(np.ones(cell_labels.size)).array_r == 0) + right.getOwnershipRange()[0]
-
-        cells, n = cell_labels.shape
-        more = _rest_of_blocks(cell_labels, unused, block)
-        rows, columns = (np.empty(cells * n * n + len(more[0]), PETSc.IntType) for _ in range(2))
-        rows[:cells * n * n].reshape(cells, n, n)[:] = cell_labels[:, :, None]
-        columns[:cells * n * n].reshape(cells, n, n)[:] = cell_labels[:, None, :]
-        rows[cells * n * n:], columns[cells * n * n:] = more
-        self._values = np.zeros(len(rows))
-        self._values[cells * n * n:] = (more[0] == more[1]) & np.isin(more[0], unused)
-        self.matrices = self._values[:cells * n * n].reshape(cells, n, n)
-        matrix = PETSc.Mat().create(comm=comm)
-        matrix.setSizes((size, size))
-        matrix.setBlockSize(block)
-        matrix.setType("aij")
-        self._matrix = _Coordinates(matrix, "Mat", rows, columns)
+        self._labels = np.ascontiguousarray(cell_labels, PETSc.IntType)
+        cells, n = self._labels.shape
+        self.matrices = np.empty((cells, n, n))
+        self._right = PETSc.Vec().create(comm=comm)
+        self._right.setSizes((owned, self.size))
+        self._right.setBlockSize(block)
+        self._right.setType("standard")
+        self._right.setOption(PETSc.Vec.Option.IGNORE_NEGATIVE_INDICES, True)
+        self._solution = self._right.duplicate()
+        used = self._sum(np.ones(self._labels.shape)).array_r > 0
+        self._unused = (np.flatnonzero(~used) + self._right.getOwnershipRange()[0]).astype(PETSc.IntType)
 
         wanted = PETSc.IS().createGeneral(np.maximum(labels, 0).ravel().astype(PETSc.IntType), comm=PETSc.COMM_SELF)
         self._local = PETSc.Vec().createSeq(labels.size)
@@ -114,16 +81,51 @@ class System:
                     self._second = make_solver(comm, DIRECT)
             else:
                 options = DIRECT | options
-        self._type = options.get("mat_type", "aij")
-        self._operator = matrix if self._type == "aij" else _alike(self._matrix.set(self._values), self._type)
-        self._unused = {name: value for name, value in options.items() if name != "mat_type"}       # until the first solution
-        self.solver = make_solver(comm, self._unused)
+        self._matrix = PETSc.Mat().create(comm=comm)
+        self._matrix.setSizes(((owned, self.size), (owned, self.size)))
+        self._matrix.setBlockSize(block)
+        self._matrix.setType(options.get("mat_type", "aij"))
+        self._make_pattern(comm, block)
+        self.solver = make_solver(comm, options)
+        self._ignored = set(options) - {"mat_type"}                                # until the first solution
         if comm.rank == 0 and self.solver.getPC().getType() in ("lu", "cholesky"):
             _warn_of_reference_blas()
 
+    def _make_pattern(self, comm, block):
+        """Room for the blocks of nodes that meet in a cell, and for the diagonal ones.
+
+        The matrices of cells all of whose nodes have their own equations, or none, go in by blocks, the others by single numbers.
+        """
+        parts = self._labels.reshape(len(self._labels), -1, block)
+        hosts = parts // block
+        own = (parts == hosts[..., :1] * block + np.arange(block)).all(axis=2) | (parts < 0).all(axis=2)
+        self._nodes = np.ascontiguousarray(hosts[..., 0])
+        self._whole, self._mixed = np.flatnonzero(own.all(axis=1)).tolist(), np.flatnonzero(~own.all(axis=1)).tolist()
+
+        first, last = (end // block for end in self._right.getOwnershipRange())
+        base = self.size // block
+        keys = [np.arange(first, last) * (base + 1)]
+        for nodes in (self._nodes[self._whole], self._labels[self._mixed] // block):
+            row, column = np.broadcast_arrays(nodes[:, :, None].astype(np.int64), nodes[:, None, :])
+            keys.append((row * base + column)[(row >= 0) & (column >= 0)])
+        keys = np.unique(np.concatenate(keys))
+        ends = np.searchsorted(keys, np.array(comm.allgather(last)) * base)
+        row, column = np.divmod(np.unique(np.concatenate(comm.alltoall(np.split(keys, ends[:-1])))), base)
+        inside = (first <= column) & (column < last)
+        counts = [np.bincount(row[chosen] - first, minlength=last - first).astype(PETSc.IntType) for chosen in (inside, ~inside)]
+        _check(_petsc.MatXAIJSetPreallocation(ctypes.c_void_p(self._matrix.handle), _Int(block),
+                                              *(ctypes.c_void_p(count.ctypes.data) for count in counts), None, None))
+
+    def _sum(self, forces):
+        """The cells' forces (cells, n), summed into the equations."""
+        self._right.set(0)
+        self._right.setValues(self._labels.ravel(), forces.ravel(), addv=True)
+        self._right.assemble()
+        return self._right
+
     def norm(self, forces):
         """Two-norm of the cells' forces (cells, n), summed into the equations."""
-        return self._right.set(forces).norm()
+        return self._sum(forces).norm()
 
     def solve(self, forces):
         """Solves K q = forces, for the element matrices in `matrices` and forces (cells, n).
@@ -133,25 +135,36 @@ class System:
         array (nodes, d), what every displacement component gets along its axes, 0 where it is given; None where the solver fails
         """
         self.assemble()
-        if not self.solve_assembled(self._right.set(forces)):
+        if not self.solve_assembled(self._sum(forces)):
             return None
         self._scatter.scatter(self._solution, self._local)
         return np.where(self._free, self._local.array_r.reshape(self._free.shape), 0)
 
     def assemble(self):
         """The matrix of the elements' matrices."""
-        matrix = self._matrix.set(self._values)
-        if self._type != "aij":
-            matrix.convert(self._type, self._operator)
+        self._matrix.zeroEntries()
+        self._add(_petsc.MatSetValuesBlocked, self._whole, self._nodes)
+        self._add(_petsc.MatSetValues, self._mixed, self._labels)
+        ones = np.arange(len(self._unused) + 1, dtype=PETSc.IntType), self._unused, np.ones(len(self._unused))
+        self._matrix.setValuesIJV(*ones, addv=True, rowmap=self._unused)
+        self._matrix.assemble()
+
+    def _add(self, add_values, cells, rows):
+        """Adds the cells' matrices, whose rows (all cells, m) are given; negative ones are left out."""
+        m, matrix = rows.shape[1], self._matrix.handle
+        places, place = rows.ctypes.data, rows.strides[0]
+        values, value = self.matrices.ctypes.data, self.matrices.strides[0]
+        for cell in cells:
+            _check(add_values(matrix, m, places + cell * place, m, places + cell * place, values + cell * value, _ADD))
 
     def solve_assembled(self, right):
         """Whether the first solver, or the second, solves the equations."""
-        solved = self._solve(self.solver, self._operator, right)
-        self._warn_of_unused()
-        return solved or (self._second is not None and self._solve(self._second, self._matrix.target, right))
+        solved = self._solve(self.solver, right)
+        self._warn_of_ignored()
+        return solved or (self._second is not None and self._solve(self._second, right))
 
-    def _solve(self, solver, matrix, right):
-        solver.setOperators(matrix)
+    def _solve(self, solver, right):
+        solver.setOperators(self._matrix)
         try:
             solver.solve(right, self._solution)
         except PETSc.Error as error:
@@ -160,17 +173,17 @@ class System:
             return False
         return solver.getConvergedReason() > 0 and np.isfinite(self._solution.norm())
 
-    def _warn_of_unused(self):
+    def _warn_of_ignored(self):
         used = ctypes.c_int()
-        for name in self._unused:
+        for name in sorted(self._ignored):
             _check(_petsc.PetscOptionsUsed(None, f"{self.solver.getOptionsPrefix()}{name}".encode(), ctypes.byref(used)))
             if not used.value:
                 warnings.warn(f"PETSc has not used the solver's option {name!r}", stacklevel=2)
-        self._unused = {}
+        self._ignored = set()
 
 
 def make_solver(comm, options):
-    """A linear solver with options.
+    """A linear solver with options, without mat_type, which is the matrix's.
 
     They stay in PETSc's database, which parts of the solver read when they are first needed, under a prefix that all solvers with
     the same options share: the database is small.
@@ -179,43 +192,10 @@ def make_solver(comm, options):
     solver.setOptionsPrefix(f"granumat_{zlib.crc32(repr(sorted(options.items())).encode()):08x}_")
     database = PETSc.Options(solver.getOptionsPrefix())
     for name, value in options.items():
-        database[name] = value
+        if name != "mat_type":
+            database[name] = value
     solver.setFromOptions()
     return solver
-
-
-def _alike(matrix, kind):
-    """A matrix of another kind with the same pattern, of whole blocks."""
-    first, last = matrix.getOwnershipRange()
-    block = matrix.getBlockSize()
-    inside, outside = [], []
-    for row in range(first, last, block):
-        columns = matrix.getRow(row)[0]
-        own = np.count_nonzero((columns >= first) & (columns < last))
-        inside.append(own // block)
-        outside.append((len(columns) - own) // block)
-    alike = PETSc.Mat().create(comm=matrix.comm)
-    alike.setSizes(matrix.getSizes())
-    alike.setBlockSize(block)
-    alike.setType(kind)
-    alike.setPreallocationNNZ((np.array(inside, PETSc.IntType), np.array(outside, PETSc.IntType)))
-    return alike
-
-
-def _rest_of_blocks(cell_labels, unused, block):
-    """Coordinates (rows, columns) that make the matrix one of whole blocks, the diagonal ones of unused equations included.
-
-    The nodes' own blocks are whole in cells all of whose nodes have their own equations; the others' blocks are listed here.
-    """
-    nodes = cell_labels.reshape(len(cell_labels), -1, block)
-    own = (nodes == nodes[..., :1] // block * block + np.arange(block)).all(axis=(1, 2))
-    hosts = cell_labels[~own].astype(np.int64) // block
-    row, column = np.broadcast_arrays(hosts[:, :, None], hosts[:, None, :])
-    base = np.iinfo(np.int32).max
-    pairs = (row * base + column)[(row >= 0) & (column >= 0)]
-    row, column = np.divmod(np.unique(np.append(pairs, unused // block * (base + 1))), base)
-    i, j = np.divmod(np.arange(block**2), block)
-    return (row[:, None] * block + i).ravel(), (column[:, None] * block + j).ravel()
 
 
 def _warn_of_reference_blas():
