@@ -21,7 +21,7 @@ contains
     type(material_state), intent(out) :: new(:)
     integer, intent(out) :: status(:)
     real(dp), intent(out), optional :: tangent(:, :, :)   ! (j, i) = d stress_i / d (strain_j, spin_j):
-      ! (6 or 9, 6, n) by the strains or spins too; (3 or 4, 6, n) by PLANE_COLUMNS, d stress 13 and 23 left 0
+      ! (6 or 9, 6, n) by the strains, and spins; (3 or 4, 4, n) stress 11 22 33 12 by PLANE_COLUMNS
     type(lane_state) :: x, x_new
     real(dp) :: strain(LANES, 6), spin(LANES, 3), lane_tangent(LANES, 6, N_COLUMNS)
     integer :: lane_status(LANES), first, last, i, j, columns(N_COLUMNS), n, n_pulled
@@ -47,7 +47,7 @@ contains
         call update(par, x, strain, spin, x_new, lane_status, n_pulled, lane_tangent)
         do i = first, last
           do j = 1, n
-            tangent(j, :, i) = lane_tangent(i - first + 1, :, columns(j))
+            tangent(j, :, i) = lane_tangent(i - first + 1, :size(tangent, 2), columns(j))
           end do
         end do
       else

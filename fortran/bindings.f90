@@ -146,15 +146,15 @@ contains
     call update_batch(par, old, gradient, threads, new, status)
   end subroutine core_update
 
-  !> With the tangent: columns 6 for the strain, 9 for strain and spin; in plane strain 3 and 4.
-  subroutine core_tangent(n, threads, columns, par, old, gradient, new, status, tangent) bind(c)
-    integer(c_int), value, intent(in) :: n, threads, columns
+  !> With the tangent: 6 rows, columns 6 for the strain, 9 for strain and spin; in plane strain 4 rows, columns 3 and 4.
+  subroutine core_tangent(n, threads, rows, columns, par, old, gradient, new, status, tangent) bind(c)
+    integer(c_int), value, intent(in) :: n, threads, rows, columns
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: old(n)
     real(c_double), intent(in) :: gradient(3, 3, n)
     type(material_state), intent(out) :: new(n)
     integer(c_int), intent(out) :: status(n)
-    real(c_double), intent(out) :: tangent(columns, 6, n)
+    real(c_double), intent(out) :: tangent(columns, rows, n)
     call update_batch(par, old, gradient, threads, new, status, tangent)
   end subroutine core_tangent
 
@@ -208,7 +208,7 @@ contains
     integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
     real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
     real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells)
-    real(c_double), intent(in) :: tangent(merge(4, 9, d == 2), 6, points, cells)
+    real(c_double), intent(in) :: tangent(5 * d - 6, 2 * d, points, cells)
     real(c_double), intent(out) :: K(d * nodes, d * nodes, cells)
     call element_stiffness(shape_gradients, x_new, volume, L, stress, tangent, mean_dilatation /= 0, K)
   end subroutine core_element_stiffness

@@ -129,7 +129,7 @@ contains
     real(dp), intent(in) :: L(:, :, :, :)                 ! (3, 3, points, cells): (j, i) = du_i/dx_j
     real(dp), intent(in) :: stress(:, :, :)               ! (6, points, cells)
     real(dp), intent(in) :: tangent(:, :, :, :)           ! (9, 6, points, cells): (j, i) = d stress_i / d (strain_j, spin_j);
-                                                          ! (4, 6, points, cells) of PLANE_COLUMNS in the plane
+                                                          ! (4, 4, points, cells) of PLANE_COLUMNS in the plane
     logical, intent(in) :: mean_dilatation
     real(dp), intent(out) :: K(:, :, :)                   ! (d nodes, d nodes, cells), transposed: (column, row)
     real(dp) :: x(LANES, size(x_new, 1), size(x_new, 2)), spatial(LANES, 3, size(x_new, 2)), matrix(LANES, size(K, 1), size(K, 2))
@@ -227,7 +227,7 @@ contains
   !> E(:, :, :, i): the derivative of stress i by h, as a matrix to be contracted with it; e_iso: by an isotropic strain of d axes
   !> (not by h).
   pure subroutine stress_slopes(tangent, L, q, cell, d, E, e_iso)
-    real(dp), intent(in) :: tangent(:, :, :, :)      ! (9 or 4, 6, points, cells)
+    real(dp), intent(in) :: tangent(:, :, :, :)      ! (9, 6, points, cells) or (4, 4, points, cells)
     real(dp), intent(in) :: L(:, :, :, :)            ! (3, 3, points, cells)
     integer, intent(in) :: q
     integer, intent(in) :: cell(LANES)
@@ -242,8 +242,9 @@ contains
       G(lane, :, :) = transpose(L(:, :, q, cell(lane)))
     end do
     e_iso = 0
+    E = 0
     by_strain_and_spin = 0
-    do i = 1, 6
+    do i = 1, size(tangent, 2)
       do lane = 1, LANES
         if (d == 2) then
           by_strain_and_spin(lane, PLANE_COLUMNS) = tangent(:, i, q, cell(lane))

@@ -15,7 +15,7 @@ module granumat_ellipticity
   use granumat_state, only: lane_state
   use granumat_coordination, only: excess_coordination
   use granumat_stress, only: evaluate, friction, pressure_change, pressure_slopes, deviator_slopes, stress_deviator
-  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, six, times, trace
+  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_matrix, six, times, trace
   implicit none (type, external)
   private
   public :: transverse_modulus, response_of, least_over_normals
@@ -110,7 +110,7 @@ contains
     if (par%closure == CRITICAL) d_A = par%lambda * d_S_hat
     by = pressure_slopes(par, A, trace(model%direction), model%coordination_number - par%Zc)
     d_p = by%trace * trace(d_direction) / max(p, tiny(p))
-    call deviator_slopes(par, A, S_hat, one, by_A, by_S_hat)
+    call deviator_slopes(par, A, S_hat, product_matrix(S_hat), one, by_A, by_S_hat)
     d_dev = times(d_p, stress_deviator(par, A, S_hat, one))
     do k = 1, 5
       d_dev = d_dev + times(d_A(:, k), by_A(:, :, k)) + times(d_S_hat(:, k), by_S_hat(:, :, k))

@@ -77,9 +77,9 @@ contains
   end function pressure_slopes
 
   !> What the stress deviator changes by with A and with S^, at constant pressure; the first is symmetric.
-  pure subroutine deviator_slopes(par, A, S_hat, p, by_A, by_S_hat)
+  pure subroutine deviator_slopes(par, A, S_hat, S_matrix, p, by_A, by_S_hat)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), p(LANES)
+    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), S_matrix(LANES, 5, 5), p(LANES)    ! S_matrix: product_matrix of S^
     real(dp), intent(out), dimension(LANES, 5, 5) :: by_A, by_S_hat      ! (:, i, j): component i by component j
     real(dp), dimension(LANES) :: x, by_x, across, along
     real(dp) :: slope(3)
@@ -91,11 +91,10 @@ contains
     by_x = p * (slope(2) + 2 * x * slope(3) + par%a4 / 2)
     across = p * (slope(1) + x * (slope(2) + x * slope(3)) + par%a4 * x / 2)
     along = -p * par%a4
-    by_A = product_matrix(S_hat)
     by_S_hat = product_matrix(A)
     do j = 1, 5
       do i = 1, 5
-        by_A(:, i, j) = by_x * S_hat(:, i) * S_hat(:, j) - par%a3 * p * by_A(:, i, j)
+        by_A(:, i, j) = by_x * S_hat(:, i) * S_hat(:, j) - par%a3 * p * S_matrix(:, i, j)
         by_S_hat(:, i, j) = by_x * S_hat(:, i) * A(:, j) - par%a3 * p * by_S_hat(:, i, j)
       end do
       by_A(:, j, j) = by_A(:, j, j) + along

@@ -11,7 +11,7 @@ module granumat_tangent
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_stress, only: pressure, pressure_modulus, pressure_change, pressure_slopes, stress_deviator, deviator_slopes
-  use granumat_tensors, only: LANES, add_identity, commute, contract, modulus, six, spin_moments, spin_series, &
+  use granumat_tensors, only: LANES, add_identity, commute, contract, modulus, product_matrix, six, spin_moments, spin_series, &
     times, times_spin, transposed_times
   implicit none (type, external)
   private
@@ -20,7 +20,7 @@ module granumat_tangent
   integer, parameter, public :: N_COLUMNS = 9                 ! strains 11 22 33, engineering shears 12 13 23, spins 12 13 23
   integer, parameter, public :: PLANE_COLUMNS(4) = [1, 2, 4, 7]
   integer, parameter, public :: PULLED_IN_SPACE = 6, PULLED_IN_PLANE = 4   ! the deviator's components, or its first 3; pressure
-  real(dp), parameter :: TANGENT_REST = 1.0e-10_dp  ! first neglected term of the fabric's change over the first one
+  real(dp), parameter :: TANGENT_REST = 1.0e-9_dp  ! first neglected term of the fabric's change over the first one
 
   !> What a component of the stress at the end changes by: with what was there before the inner steps that it has been pulled
   !! through, and with the increment.
@@ -71,7 +71,7 @@ contains
       one = 1
       unit = stress_deviator(par, x%A, inc%S_hat, one)
       p = pressure(par, pressure_modulus(par, x%A, inc%tr_direction), x%excess)
-      call deviator_slopes(par, x%A, inc%S_hat, p, by_A, by_S_hat)
+      call deviator_slopes(par, x%A, inc%S_hat, product_matrix(inc%S_hat), p, by_A, by_S_hat)
       do i = 1, n - 1
         f(i)%A = by_A(:, :, i) + times(unit(:, i), f(n)%A)
         f(i)%excess = unit(:, i) * by%excess
@@ -129,15 +129,26 @@ contains
     type(material_parameters), intent(in) :: par
     type(inner_solution), intent(in) :: step
     type(shared_factors), intent(out) :: factors
-    real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel
-    real(dp), dimension(LANES) :: t, decay
-    integer :: i, m
+    real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before
+    real(dp), dimension(LANES) :: t, decay, power, needed(LANES, 0:MAX_TERMS)
+    real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A:S = -d1 y'/(c3 y)
+    integer :: i, k, m
 
     factors%first = merge(1, AT_END, par%elastic_strain > 0)
     factors%terms = count([(any(step%fabric%bound(:, i) >= TANGENT_REST), i = 0, step%fabric%terms - 1)])
     do i = 1, N_NODES
       f(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
       f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_slope(par, step%phi(:, i) - par%phic)
+    end do
+    before = 1
+    needed(:, 0) = 1
+    by_y(:, :, 0) = 0
+    do k = 1, factors%terms                              ! by the lane, whatever others need
+      needed(:, k) = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= TANGENT_REST)
+      do i = 1, N_NODES
+        by_y(:, i, k) = -par%d1 * needed(:, k) * before(:, i) * (k / par%c3 + step%t(:, i) * step%A_S(:, i)) / step%y(:, i)
+        before(:, i) = before(:, i) * step%t(:, i)
+      end do
     end do
     do m = factors%first, AT_END
       t = 1
@@ -164,42 +175,15 @@ contains
       factors%by_tr_D(:, m) = step%share * (factors%by_tr_D(:, m) + par%d3 * factors%by_mod_S(:, m))
       factors%by_mod_S(:, m) = -par%d1 * par%chi * step%share * factors%by_mod_S(:, m)
       factors%by_mod_D(:, m) = par%d2 * step%share * factors%by_mod_D(:, m)
-      call weigh_series(par, step, t, kernel, factors%terms, factors%weight(:, :, m), factors%by_y(:, :, m))
+      power = 1
+      do k = 0, factors%terms
+        factors%weight(:, k, m) = needed(:, k) * power
+        factors%by_y(:, k, m) = kernel(:, 1) * by_y(:, 1, k) + kernel(:, 2) * by_y(:, 2, k) + kernel(:, 3) * by_y(:, 3, k) &
+          + kernel(:, 4) * by_y(:, 4, k)
+        power = power * t
+      end do
     end do
   end subroutine share_factors
-
-  !> t^k, and what the integral of kernel d1 A:S, A:S = -y'/(c3 y), changes by with each y_k.
-  pure subroutine weigh_series(par, step, t, kernel, terms, weight, by_y)
-    type(material_parameters), intent(in) :: par
-    type(inner_solution), intent(in) :: step
-    real(dp), intent(in) :: t(LANES), kernel(LANES, N_NODES)
-    integer, intent(in) :: terms
-    real(dp), intent(out) :: weight(LANES, 0:MAX_TERMS), by_y(LANES, 0:MAX_TERMS)
-    real(dp), dimension(LANES, N_NODES) :: before, by_dot_y, by_place
-    real(dp), dimension(LANES) :: power, next, needed, total
-    integer :: i, k
-
-    do i = 1, N_NODES
-      by_dot_y(:, i) = -par%d1 / par%c3 * kernel(:, i) / step%y(:, i)
-      by_place(:, i) = par%c3 * step%A_S(:, i) * by_dot_y(:, i)
-    end do
-    power = 1
-    before = 1
-    weight(:, 0) = 1
-    by_y(:, 0) = 0
-    do k = 1, terms
-      needed = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= TANGENT_REST)     ! by the lane, whatever others need
-      total = 0
-      do i = 1, N_NODES
-        next = before(:, i) * step%t(:, i)
-        total = total + k * by_dot_y(:, i) * before(:, i) + by_place(:, i) * next
-        before(:, i) = next
-      end do
-      by_y(:, k) = needed * total
-      power = power * t
-      weight(:, k) = needed * power
-    end do
-  end subroutine weigh_series
 
   !> To the fabric and Z2 - Zc before the step.
   pure subroutine pull_microstructure(par, step, factors, first, at, f)
@@ -285,29 +269,24 @@ contains
     type(inner_solution), intent(in) :: step
     type(pulled), intent(inout) :: f(:)                  ! components of the deviator
     type(met), intent(inout) :: at(:)
-    real(dp), dimension(LANES, 5) :: by_mod_D, turned(LANES, 5, 0:2), q
-    real(dp), dimension(LANES) :: change
-    real(dp) :: by_A(LANES, 5, 5), by_S_hat(LANES, 5, 5), twice(LANES, 3)
+    real(dp) :: by_mod_D(LANES, 5), turned(LANES, 5, 0:2), twice(LANES, 3)
+    real(dp), dimension(LANES, 5, 5) :: S_matrix, by_A, by_S_hat
     type(pressure_change) :: by
     integer :: i, m
 
     call share_rotation(par, step, by_mod_D, turned)
+    S_matrix = product_matrix(inc%S_hat)
     do m = 1, AT_END
       by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
-      call deviator_slopes(par, step%A(:, :, m), inc%S_hat, step%p(:, m), by_A, by_S_hat)
+      call deviator_slopes(par, step%A(:, :, m), inc%S_hat, S_matrix, step%p(:, m), by_A, by_S_hat)
       do i = 1, size(f)
-        q = f(i)%dev
-        if (m < AT_END) q = transposed_times(step%R(:, :, :, m), q)
-        q = times(step%weights(:, m), q)
-        change = contract(q, step%unit(:, :, m))         ! with the pressure
-        f(i)%tr_direction = f(i)%tr_direction + change * by%trace
-        f(i)%S_hat = f(i)%S_hat + transposed_times(by_S_hat, q)
-        q = transposed_times(by_A, q) + times(change * by%A, step%A(:, :, m))
-        change = change * by%excess
-        if (m == AT_END) q = q + f(i)%A
-        if (m == AT_END) change = change + f(i)%excess
-        at(i)%A(:, :, m) = q
-        at(i)%excess(:, m) = change
+        call pull_node(step%R(:, :, :, min(m, N_NODES)), m == AT_END, step%weights(:, m), step%unit(:, :, m), step%A(:, :, m), &
+          by, by_A, by_S_hat, f(i), at(i)%A(:, :, m), at(i)%excess(:, m))
+      end do
+      if (m < AT_END) cycle
+      do i = 1, size(f)
+        at(i)%A(:, :, m) = at(i)%A(:, :, m) + f(i)%A
+        at(i)%excess(:, m) = at(i)%excess(:, m) + f(i)%excess
       end do
     end do
     do i = 1, size(f)
@@ -318,6 +297,39 @@ contains
       f(i)%dev = times(step%weights(:, 0), transposed_times(step%R(:, :, :, 0), f(i)%dev))
     end do
   end subroutine pull_relaxation
+
+  !> To what makes the model's deviator at a node, or the end, where nothing turns any more; hot.
+  pure subroutine pull_node(R, at_end, weight, unit, A, by, by_A, by_S_hat, f, f_A, f_excess)
+    real(dp), intent(in) :: R(LANES, 5, 5), weight(LANES), unit(LANES, 5), A(LANES, 5)
+    logical, intent(in) :: at_end
+    type(pressure_change), intent(in) :: by
+    real(dp), intent(in), dimension(LANES, 5, 5) :: by_A, by_S_hat
+    type(pulled), intent(inout) :: f
+    real(dp), intent(out) :: f_A(LANES, 5), f_excess(LANES)
+    real(dp) :: q(5), turned(LANES, 5), by_p
+    integer :: i, j
+
+    if (at_end) then
+      turned = f%dev
+    else
+      turned = transposed_times(R, f%dev)
+    end if
+    do i = 1, LANES
+      do j = 1, 5
+        q(j) = weight(i) * turned(i, j)
+      end do
+      by_p = q(1) * unit(i, 1) + q(2) * unit(i, 2) + q(3) * unit(i, 3) + q(4) * unit(i, 4) + q(5) * unit(i, 5)
+      f_excess(i) = by_p * by%excess(i)
+      f%tr_direction(i) = f%tr_direction(i) + by_p * by%trace(i)
+      by_p = by_p * by%A(i)
+      do j = 1, 5
+        f_A(i, j) = by_p * A(i, j) + by_A(i, 1, j) * q(1) + by_A(i, 2, j) * q(2) + by_A(i, 3, j) * q(3) + by_A(i, 4, j) * q(4) &
+          + by_A(i, 5, j) * q(5)
+        f%S_hat(i, j) = f%S_hat(i, j) + by_S_hat(i, 1, j) * q(1) + by_S_hat(i, 2, j) * q(2) + by_S_hat(i, 3, j) * q(3) &
+          + by_S_hat(i, 4, j) * q(4) + by_S_hat(i, 5, j) * q(5)
+      end do
+    end do
+  end subroutine pull_node
 
   !> What the relaxing deviator changes by with |D|; and with the spin: the change V of a rotation by w u is that of w, to which
   !! come commutators with w, once and twice, times u^2 (1 - cos(a))/a^2 and u^3 (a - sin(a))/a^3.
@@ -352,25 +364,30 @@ contains
     type(increment), intent(in) :: inc
     type(pulled), intent(in) :: f(:)                     ! pulled back to the start of the increment
     real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
-    real(dp) :: dev(LANES, 5, N_COLUMNS), row(LANES, N_COLUMNS), inverse(LANES), inverse_S(LANES), by_mod_D(LANES), by_tr_D(LANES)
-    integer :: i, j
+    real(dp) :: rows(LANES, N_COLUMNS, PULLED_IN_SPACE), strain(LANES, 6)
+    real(dp), dimension(LANES) :: inverse, inverse_S, by_mod_D, by_tr_D
+    integer :: i, j, n
 
+    n = size(f)
     inverse = 1 / max(inc%mod_D, tiny(1.0_dp))
     inverse_S = 1 / max(2 * modulus(inc%S_hat), tiny(1.0_dp))          ! of |S| over |D|
-    dev = 0
-    do i = 1, size(f)
+    rows(:, :, n:) = 0
+    do i = 1, n
       by_mod_D = (f(i)%mod_D - inverse * (contract(f(i)%S_hat, inc%S_hat) + f(i)%tr_direction * inc%tr_direction)) / 2
       by_tr_D = f(i)%tr_D + inverse * f(i)%tr_direction
-      row(:, :6) = six(f(i)%S + times(inverse, f(i)%S_hat) + times(inverse_S * f(i)%mod_S, inc%S_hat))
+      strain = six(f(i)%S + times(inverse, f(i)%S_hat) + times(inverse_S * f(i)%mod_S, inc%S_hat))
       do j = 1, 6
-        row(:, j) = row(:, j) + by_mod_D * inc%direction(:, j)
-        if (j <= 3) row(:, j) = row(:, j) + by_tr_D
+        strain(:, j) = strain(:, j) + by_mod_D * inc%direction(:, j)
       end do
-      row(:, 7:) = f(i)%w
-      if (i < size(f)) dev(:, i, :) = row
+      do j = 1, 3
+        strain(:, j) = strain(:, j) + by_tr_D
+      end do
+      j = merge(i, PULLED_IN_SPACE, i < n)
+      rows(:, :6, j) = strain
+      rows(:, 7:, j) = f(i)%w
     end do
     do j = 1, N_COLUMNS
-      tangent(:, :, j) = add_identity(six(dev(:, :, j)), -row(:, j))
+      tangent(:, :, j) = add_identity(six(rows(:, j, :5)), -rows(:, j, 6))
     end do
   end subroutine tangent_of
 

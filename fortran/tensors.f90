@@ -265,6 +265,8 @@ contains
     real(dp), intent(in) :: R(LANES, 3, 3)
     real(dp) :: M(LANES, 5, 5), dyad(5, 6), xx, yy
     integer, parameter :: AXES(2, 6) = reshape([1, 1, 2, 2, 3, 3, 1, 2, 1, 3, 2, 3], [2, 6])
+    real(dp), parameter :: SCALE(5) = [1.0_dp, 1 / SQRT_3, 1.0_dp, 1.0_dp, 1.0_dp]       ! so that no rotation is none to the bit
+    real(dp), parameter :: SCALE_2(5) = [1 / SQRT_3, 1 / 3.0_dp, 1 / SQRT_3, 1 / SQRT_3, 1 / SQRT_3]
     integer :: i, k, a, b
 
     do i = 1, LANES
@@ -273,18 +275,18 @@ contains
         b = AXES(2, k)
         xx = R(i, 1, a) * R(i, 1, b)
         yy = R(i, 2, a) * R(i, 2, b)
-        dyad(1, k) = HALF_ROOT * (xx - yy)
-        dyad(2, k) = SIXTH_ROOT * (2 * R(i, 3, a) * R(i, 3, b) - xx - yy)
-        dyad(3, k) = HALF_ROOT * (R(i, 1, a) * R(i, 2, b) + R(i, 2, a) * R(i, 1, b))
-        dyad(4, k) = HALF_ROOT * (R(i, 1, a) * R(i, 3, b) + R(i, 3, a) * R(i, 1, b))
-        dyad(5, k) = HALF_ROOT * (R(i, 2, a) * R(i, 3, b) + R(i, 3, a) * R(i, 2, b))
+        dyad(1, k) = xx - yy
+        dyad(2, k) = 2 * R(i, 3, a) * R(i, 3, b) - xx - yy
+        dyad(3, k) = R(i, 1, a) * R(i, 2, b) + R(i, 2, a) * R(i, 1, b)
+        dyad(4, k) = R(i, 1, a) * R(i, 3, b) + R(i, 3, a) * R(i, 1, b)
+        dyad(5, k) = R(i, 2, a) * R(i, 3, b) + R(i, 3, a) * R(i, 2, b)
       end do
       do k = 1, 5
-        M(i, k, 1) = HALF_ROOT * (dyad(k, 1) - dyad(k, 2))
-        M(i, k, 2) = SIXTH_ROOT * (2 * dyad(k, 3) - dyad(k, 1) - dyad(k, 2))
-        M(i, k, 3) = 2 * HALF_ROOT * dyad(k, 4)
-        M(i, k, 4) = 2 * HALF_ROOT * dyad(k, 5)
-        M(i, k, 5) = 2 * HALF_ROOT * dyad(k, 6)
+        M(i, k, 1) = SCALE(k) / 2 * (dyad(k, 1) - dyad(k, 2))
+        M(i, k, 2) = SCALE_2(k) / 2 * (2 * dyad(k, 3) - dyad(k, 1) - dyad(k, 2))
+        M(i, k, 3) = SCALE(k) * dyad(k, 4)
+        M(i, k, 4) = SCALE(k) * dyad(k, 5)
+        M(i, k, 5) = SCALE(k) * dyad(k, 6)
       end do
     end do
   end function rotation_of_deviators

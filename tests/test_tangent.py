@@ -135,5 +135,4 @@ def test_tangent_of_plane_strain_is_the_part_of_the_whole_one_that_it_needs(rng,
     _, tangent = material.update_with_tangent(states, gradient, spin=True)
     for spin, columns in ((True, [0, 1, 3, 6]), (False, [0, 1, 3])):
         _, plane = material.update_with_tangent(states, gradient, spin=spin, plane=True)
-        assert plane.shape == (101, 6, len(columns))
-        np.testing.assert_allclose(plane, tangent[:, :, columns], rtol=1e-9, atol=1e-9 * abs(tangent).max())
+        np.testing.assert_array_equal(plane, tangent[:, :4, columns])

@@ -305,20 +305,19 @@ class Material:
         spin : bool
             Whether the derivatives by the spin increments W_12, W_13, W_23 at fixed strain are appended.
         plane : bool
-            Whether only the derivatives are wanted that plane strain in x and y has, by the strains xx yy xy and the spin W_12:
-            they cost about half as much.
+            Whether only what plane strain in x and y has is wanted: stresses xx yy zz xy, strains xx yy xy and the spin W_12.
         states, gradient, out, threads
             As in update.
 
         Returns
         -------
         states : record array (...) of dtype STATE
-        tangent : array (..., 6, 6), with the spin (..., 6, 9); plane (..., 6, 3), with the spin (..., 6, 4)
+        tangent : array (..., 6, 6), with the spin (..., 6, 9); plane (..., 4, 3), with the spin (..., 4, 4)
             d stress_i / d (strain_j, spin_j): tension positive, engineering shear strains, xx yy zz xy xz yz; 0 where the
             update fails.
         """
-        columns = (4 if spin else 3) if plane else (9 if spin else 6)
-        tangent = np.empty((*np.shape(states), 6, columns))
+        rows, columns, spins = (4, 3, 1) if plane else (6, 6, 3)
+        tangent = np.empty((*np.shape(states), rows, columns + spins * spin))
         return self._update(states, gradient, out, threads, tangent), tangent
 
     def _update(self, states, gradient, out, threads, tangent):

@@ -35,7 +35,7 @@ class Oracle:
         self.x = moved[self.problem._nodes]
         self.element = self.problem._element
         self.mean = self.problem._mean
-        self.columns = [0, 1, 3, 6] if d == 2 else list(range(9))            # of the strains and spins there are
+        self.rows, self.columns = (slice(4), [0, 1, 3, 6]) if d == 2 else (slice(6), slice(9))     # of a tangent that there are
         _, self.volumes, status = _core.core_element_gradients(
             self.mean, self.element.gradients, self.element.weights, self.x, np.zeros_like(self.x))
         assert not status.any()
@@ -83,7 +83,7 @@ class Oracle:
         dofs, size = self.dofs(), self.problem.positions.size
         matrices = np.empty((*dofs.shape, dofs.shape[1]))
         _core.core_element_stiffness(self.mean, self.element.gradients, self.x, self.volumes,
-                                     np.zeros((*self.volumes.shape, 3, 3)), stress, tangent[..., self.columns], matrices)
+                                     np.zeros((*self.volumes.shape, 3, 3)), stress, tangent[..., self.rows, self.columns], matrices)
         total = np.zeros((size, size))
         np.add.at(total, (dofs[:, :, None], dofs[:, None, :]), matrices)
         return total

@@ -28,7 +28,7 @@ int main(void)
 
     int status[POINTS];
     for (int k = 0; k < INCREMENTS; k++) {
-        core_tangent(POINTS, 2, 6, &par, old, gradient, new_states, status, &tangent[0][0][0]);
+        core_tangent(POINTS, 2, 6, 6, &par, old, gradient, new_states, status, &tangent[0][0][0]);
         for (int i = 0; i < POINTS; i++)
             if (status[i]) {
                 char message[GRANUMAT_MESSAGE];

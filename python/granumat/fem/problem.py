@@ -368,7 +368,7 @@ class Problem:
         return stress - self.rate_term / duration * tensors.trace(stress)[:, None] / 3 * shear
 
     def _update_with_tangent(self, gradients):
-        """The states and the material's tangent by (strain, spin), (points, 6, 9), or (points, 6, 4) in plane strain."""
+        """The states and the material's tangent by (strain, spin), (points, 6, 9), or (points, 4, 4) in plane strain."""
         return self.material.update_with_tangent(self.states, gradients, spin=True, plane=self.d == 2)
 
     def _tangent(self, trial, duration):
@@ -377,7 +377,7 @@ class Problem:
         trial.tangent = None
         strain = np.eye(6, 9) * [1, 1, 1, 0.5, 0.5, 0.5, 0, 0, 0]
         if self.d == 2:
-            strain = strain[:, [0, 1, 3, 6]]
+            strain = strain[:4, [0, 1, 3, 6]]
         loose = tensors.trace(trial.states.stress) > -LOOSE
         tangent[loose] += LOOSE * strain
         if self.rate_term > 0:
@@ -385,9 +385,10 @@ class Problem:
             pressure = -tensors.trace(trial.states.stress) / 3
             shear = tensors.deviator(tensors.symmetric(trial.gradients))
             slope = -tangent[:, :3].sum(axis=1) / 3
-            by_strain = strain - np.outer(tensors.IDENTITY, strain[:3].sum(axis=0)) / 3
+            rows = len(strain)
+            by_strain = strain - np.outer(tensors.IDENTITY[:rows], strain[:3].sum(axis=0)) / 3
             tangent += factor * pressure[:, None, None] * by_strain
-            tangent += factor * shear[:, :, None] * slope[:, None, :]
+            tangent += factor * shear[:, :rows, None] * slope[:, None, :]
         return tangent
 
     def _stiffness(self, trial, duration):
@@ -397,7 +398,7 @@ class Problem:
         stiffness = self.system.matrices
         _core.core_element_stiffness(
             self._mean, self._element.gradients, x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
-            self._tangent(trial, duration).reshape(*points, 6, -1), stiffness)
+            self._tangent(trial, duration).reshape(*points, 2 * self.d, -1), stiffness)
         self._pressure_loads(x, trial.t, stiffness)
         turned = self._turned_cells
         if len(turned):
