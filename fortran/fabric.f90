@@ -17,18 +17,18 @@ module granumat_fabric
   !> The matrix of the linear equation over an increment.
   type :: fabric_matrix
     real(dp) :: S(LANES, 5)
-    real(dp) :: source, sink                   ! c1, -c3
     real(dp) :: decay(LANES)                   ! c2 |D|
     real(dp) :: spin(LANES, 3)
+    real(dp) :: source, sink                   ! c1, -c3
   end type fabric_matrix
 
   !> The coefficients of B and y as power series in t, 0 <= t <= 1 over the increment.
   type, public :: fabric_solution
-    integer :: terms
-    type(fabric_matrix) :: matrix
     real(dp) :: B(LANES, 5, 0:MAX_TERMS), y(LANES, 0:MAX_TERMS)
     real(dp) :: bound(LANES, 0:MAX_TERMS)      ! of the terms of their series over the solution, at t = 1
     real(dp) :: factor(LANES, MAX_TERMS)       ! 1/k, 0 from where a lane needs no more
+    type(fabric_matrix) :: matrix
+    integer :: terms
   end type fabric_solution
 
 contains
@@ -53,7 +53,7 @@ contains
     integer :: k
 
     rate = fabric_rate(par, mod_D, w)
-    solution%matrix = fabric_matrix(S, par%c1, -par%c3, par%c2 * mod_D, w)
+    solution%matrix = fabric_matrix(S, par%c2 * mod_D, w, par%c1, -par%c3)
     solution%B(:, :, 0) = A
     solution%y(:, 0) = 1
     solution%bound(:, 0) = 1

@@ -1,4 +1,6 @@
 !> A strain increment and what evolves in it, LANES points side by side.
+!!
+!! Components of the types are a multiple of a vector's length, but for the last ones: so all lie where vectors load fast.
 module granumat_increment
   use granumat_kinds, only: dp
   use granumat_coordination, only: N_NODES
@@ -34,12 +36,12 @@ module granumat_increment
   !! into, and its weight. With 0: the rotation of all, what is left of the deviator before, and its weight.
   type, public :: inner_solution
     real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 5), w(LANES, 3)
-    type(fabric_solution) :: fabric
     real(dp), dimension(LANES, N_NODES) :: t, dt, phi, y, A_S, growth, integrand
     real(dp) :: y_end(LANES)
     real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)              ! at the nodes only with e_r > 0
     real(dp), dimension(LANES, 5, 0:AT_END) :: turned
     real(dp) :: p(LANES, AT_END), unit(LANES, 5, AT_END), weights(LANES, 0:AT_END), R(LANES, 5, 5, 0:N_NODES)
+    type(fabric_solution) :: fabric
   end type inner_solution
 
   !> An inner step before it is taken.
@@ -50,11 +52,11 @@ module granumat_increment
 
   !> The inner steps of an increment: the last one solved, those before only if they are wanted.
   type, public :: trail
-    logical :: whole
-    integer :: steps = 0
     type(inner_start) :: last
     type(inner_solution) :: solution
     type(inner_start), allocatable :: earlier(:)     ! has steps - 1, and room for more
+    integer :: steps = 0
+    logical :: whole
   end type trail
 
 contains

@@ -74,11 +74,11 @@ contains
     j = n
     do while (any(term > SERIES_END * moment(:, n)))
       j = j + 1
-      term = term * small / j
+      term = term * small * (1.0_dp / j)
       moment(:, n) = moment(:, n) + term
     end do
     do j = n, 2, -1
-      moment(:, j - 1) = small / (j - 1) * (moment(:, j) + edge)
+      moment(:, j - 1) = small * (1.0_dp / (j - 1)) * (moment(:, j) + edge)
     end do
     if (all(ratio <= FORWARD_FROM)) return
 

@@ -33,9 +33,9 @@ module granumat_tangent
   !> What the functions share in an inner step, at the nodes (only with e_r > 0) and the end: t^k, 1/y, and what Z2 - Zc there
   !! changes by, with the fabric's y_k and with other things.
   type :: shared_factors
-    integer :: first, terms
     real(dp) :: weight(LANES, 0:MAX_TERMS, AT_END), by_y(LANES, 0:MAX_TERMS, AT_END)
     real(dp), dimension(LANES, AT_END) :: inverse_y, by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi
+    integer :: first, terms
   end type shared_factors
 
   !> What a function changes by with A and Z2 - Zc at the nodes and the end.
@@ -103,7 +103,7 @@ contains
     type(inner_solution), intent(in) :: step
     type(pulled), intent(inout) :: f(:)
     type(shared_factors) :: factors
-    type(met) :: at(size(f))
+    type(met) :: at(PULLED_IN_SPACE)
     integer :: i, n
 
     n = size(f)
@@ -194,7 +194,7 @@ contains
     type(met), intent(in) :: at
     type(pulled), intent(inout) :: f
     real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, AT_END), by_y(LANES, AT_END)
-    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3), total
+    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3), total, more
     integer :: i, j, k, m
 
     f%excess = 0
@@ -218,10 +218,12 @@ contains
       do k = 0, factors%terms
         do i = 1, LANES
           total = 0
+          more = 0
           do m = 1, AT_END
-            total = total + factors%weight(i, k, m) * by_y(i, m) + factors%by_y(i, k, m) * at%excess(i, m)
+            total = total + factors%weight(i, k, m) * by_y(i, m)
+            more = more + factors%by_y(i, k, m) * at%excess(i, m)
           end do
-          g_y(i, k) = total
+          g_y(i, k) = total + more
           do j = 1, 5
             total = 0
             do m = 1, AT_END

@@ -219,9 +219,10 @@ contains
     real(dp), intent(in) :: w(LANES, 3)
     real(dp), intent(out) :: second(LANES), third(LANES)
     real(dp) :: square(LANES)
+    real(dp), parameter :: SERIES(2:11) = 1 / real([2, 6, 24, 120, 720, 5040, 40320, 362880, 3628800, 39916800], dp)
     square = w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2
-    second = (1 - square / 12 * (1 - square / 30 * (1 - square / 56 * (1 - square / 90)))) / 2
-    third = (1 - square / 20 * (1 - square / 42 * (1 - square / 72 * (1 - square / 110)))) / 6
+    second = SERIES(2) - square * (SERIES(4) - square * (SERIES(6) - square * (SERIES(8) - square * SERIES(10))))
+    third = SERIES(3) - square * (SERIES(5) - square * (SERIES(7) - square * (SERIES(9) - square * SERIES(11))))
   end subroutine spin_series
 
   !> s W

@@ -17,7 +17,7 @@ module granumat_update
   use granumat_increment, only: AT_END, add_step, increment, inner_solution, inner_start, internal, to_increment, trail
   use granumat_rates, only: imply, model_deviator, I_DEV, I_EXCESS, I_PHI, N_EVOLVING
   use granumat_methods, only: integrate_by_method, MAX_STEPS
-  use granumat_tangent, only: N_COLUMNS, pulled, pull_inner_step, start_pulling, tangent_of
+  use granumat_tangent, only: N_COLUMNS, PULLED_IN_SPACE, pulled, pull_inner_step, start_pulling, tangent_of
   implicit none (type, external)
   private
   public :: update
@@ -206,20 +206,20 @@ contains
     type(trail), intent(inout) :: steps
     integer, intent(in) :: n_pulled
     real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
-    type(pulled) :: f(n_pulled)
+    type(pulled) :: f(PULLED_IN_SPACE)
     type(internal) :: again
     integer :: i, status(LANES)
 
-    call start_pulling(par, inc, x, f)
+    call start_pulling(par, inc, x, f(:n_pulled))
     do i = steps%steps, 1, -1
       if (i < steps%steps) then
         again = steps%earlier(i)%x
         status = OK
         call inner_step(par, inc, steps%earlier(i)%share, steps%earlier(i)%e_end, again, steps%solution, status)
       end if
-      call pull_inner_step(par, inc, steps%solution, f)
+      call pull_inner_step(par, inc, steps%solution, f(:n_pulled))
     end do
-    call tangent_of(inc, f, tangent)
+    call tangent_of(inc, f(:n_pulled), tangent)
   end subroutine pull_back
 
   !> By the method of the parameters.
