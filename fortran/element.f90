@@ -38,7 +38,8 @@ contains
     real(dp), intent(out) :: volume(:, :)                 ! (points, cells)
     integer, intent(out) :: status(:)                     ! (cells) 0, INVERTED or TOO_LARGE
     real(dp), dimension(LANES, size(x, 1), size(x, 2)) :: x_old, du
-    real(dp) :: spatial(LANES, 3, size(x, 2)), G(LANES, 3, 3, size(weights)), point_volume(LANES, size(weights))
+    real(dp) :: G(LANES, 3, 3, size(weights)), point_volume(LANES, size(weights))
+    real(dp), dimension(LANES, 3, 3) :: J, J_u, inverse
     real(dp), dimension(LANES) :: det_old, det_middle, det, old_volume, new_volume, theta
     integer :: cell(LANES), found(LANES), first, k, q, i, d
     logical :: converged(LANES)
@@ -52,13 +53,16 @@ contains
       old_volume = 0
       new_volume = 0
       do q = 1, size(weights)
-        call spatial_gradients(shape_gradients(:, :, q), x_old, spatial, det_old)
-        call spatial_gradients(shape_gradients(:, :, q), x_old + du, spatial, det)
-        call spatial_gradients(shape_gradients(:, :, q), x_old + du / 2, spatial, det_middle)
+        J = jacobian(shape_gradients(:, :, q), x_old)
+        if (d == 2) J(:, 3, 3) = 1
+        J_u = jacobian(shape_gradients(:, :, q), du)
+        call invert(J, inverse, det_old)
+        call invert(J + J_u, inverse, det)
+        call invert(J + J_u / 2, inverse, det_middle)
         point_volume(:, q) = weights(q) * abs(det)
         old_volume = old_volume + weights(q) * abs(det_old)
         new_volume = new_volume + point_volume(:, q)
-        G(:, :, :, q) = gradient(du, spatial)
+        G(:, :, :, q) = product_of(J_u, inverse)
         call logarithm(G(:, :, :, q), converged)
         where (found == 0 .and. .not. converged) found = TOO_LARGE
         where (.not. (det / det_old > 0 .and. det_middle / det_old > 0)) found = INVERTED
@@ -395,28 +399,13 @@ contains
     real(dp), intent(in) :: x(:, :, :)               ! (LANES, d, nodes)
     real(dp), intent(out) :: spatial(:, :, :)        ! (LANES, 3, nodes)
     real(dp), intent(out) :: det(LANES)
-    real(dp) :: jacobian(LANES, 3, 3), inverse(LANES, 3, 3)
+    real(dp) :: J_x(LANES, 3, 3), inverse(LANES, 3, 3)
     integer :: a, i, j, d
 
     d = size(x, 2)
-    jacobian = 0
-    if (d == 2) jacobian(:, 3, 3) = 1
-    do a = 1, size(reference, 1)
-      do j = 1, d
-        do i = 1, d
-          jacobian(:, i, j) = jacobian(:, i, j) + x(:LANES, i, a) * reference(a, j)
-        end do
-      end do
-    end do
-    inverse(:, 1, :) = cross(jacobian(:, :, 2), jacobian(:, :, 3))
-    inverse(:, 2, :) = cross(jacobian(:, :, 3), jacobian(:, :, 1))
-    inverse(:, 3, :) = cross(jacobian(:, :, 1), jacobian(:, :, 2))
-    det = inverse(:, 1, 1) * jacobian(:, 1, 1) + inverse(:, 1, 2) * jacobian(:, 2, 1) + inverse(:, 1, 3) * jacobian(:, 3, 1)
-    do j = 1, 3
-      do i = 1, 3
-        inverse(:, i, j) = merge(inverse(:, i, j) / det, 0.0_dp, abs(det) > 0)
-      end do
-    end do
+    J_x = jacobian(reference, x)
+    if (d == 2) J_x(:, 3, 3) = 1
+    call invert(J_x, inverse, det)
     spatial = 0
     do a = 1, size(reference, 1)
       do j = 1, d
@@ -427,6 +416,40 @@ contains
     end do
   end subroutine spatial_gradients
 
+  !> J(:, i, j): the derivative of component i of what the nodes have by reference coordinate j.
+  pure function jacobian(reference, nodal) result(J)
+    real(dp), intent(in) :: reference(:, :)          ! (nodes, d)
+    real(dp), intent(in) :: nodal(:, :, :)           ! (LANES, d, nodes)
+    real(dp) :: J(LANES, 3, 3)
+    integer :: a, i, k
+    J = 0
+    do a = 1, size(reference, 1)
+      do k = 1, size(nodal, 2)
+        do i = 1, size(nodal, 2)
+          J(:, i, k) = J(:, i, k) + nodal(:LANES, i, a) * reference(a, k)
+        end do
+      end do
+    end do
+  end function jacobian
+
+  !> The inverse, 0 where there is none, and the determinant.
+  pure subroutine invert(M, inverse, det)
+    real(dp), intent(in) :: M(LANES, 3, 3)
+    real(dp), intent(out) :: inverse(LANES, 3, 3), det(LANES)
+    real(dp) :: factor(LANES)
+    integer :: i, j
+    inverse(:, 1, :) = cross(M(:, :, 2), M(:, :, 3))
+    inverse(:, 2, :) = cross(M(:, :, 3), M(:, :, 1))
+    inverse(:, 3, :) = cross(M(:, :, 1), M(:, :, 2))
+    det = inverse(:, 1, 1) * M(:, 1, 1) + inverse(:, 1, 2) * M(:, 2, 1) + inverse(:, 1, 3) * M(:, 3, 1)
+    factor = merge(1 / det, 0.0_dp, abs(det) > 0)
+    do j = 1, 3
+      do i = 1, 3
+        inverse(:, i, j) = factor * inverse(:, i, j)
+      end do
+    end do
+  end subroutine invert
+
   pure function cross(a, b) result(c)
     real(dp), intent(in), dimension(LANES, 3) :: a, b
     real(dp) :: c(LANES, 3)
@@ -434,22 +457,6 @@ contains
     c(:, 2) = a(:, 3) * b(:, 1) - a(:, 1) * b(:, 3)
     c(:, 3) = a(:, 1) * b(:, 2) - a(:, 2) * b(:, 1)
   end function cross
-
-  !> G(:, i, j) = du_i/dx_j
-  pure function gradient(u, spatial) result(G)
-    real(dp), intent(in) :: u(:, :, :)               ! (LANES, d, nodes)
-    real(dp), intent(in) :: spatial(:, :, :)         ! (LANES, 3, nodes)
-    real(dp) :: G(LANES, 3, 3)
-    integer :: a, i, j
-    G = 0
-    do a = 1, size(u, 3)
-      do j = 1, 3
-        do i = 1, size(u, 2)
-          G(:, i, j) = G(:, i, j) + u(:LANES, i, a) * spatial(:LANES, j, a)
-        end do
-      end do
-    end do
-  end function gradient
 
   !> G = 2 (F - I)(F + I)^-1, the increment's gradient in its middle, becomes log F = 2 artanh(G/2).
   pure subroutine logarithm(G, converged)
