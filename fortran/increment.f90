@@ -50,7 +50,7 @@ module granumat_increment
     real(dp) :: share(LANES), e_end(LANES)           ! of the increment; ln(phi/phic) at the end
   end type inner_start
 
-  !> The inner steps of an increment: the last one solved, those before only if they are wanted.
+  !> The inner steps of an increment: the last one solved, and if they are wanted all.
   type, public :: trail
     type(inner_start) :: last
     type(inner_solution) :: solution
@@ -69,7 +69,7 @@ contains
     integer :: n
 
     n = steps%steps
-    if (steps%whole .and. n > 0) then
+    if (n > 0) then
       if (.not. allocated(steps%earlier)) allocate (steps%earlier(4))
       if (n > size(steps%earlier)) then
         allocate (longer(2 * n))

@@ -1,6 +1,6 @@
 !> The consistent tangent of the exact update, in closed form: the stress at the end as a function of what came before, pulled back
 !! through the inner steps, the last one first, to the strain and spin of the increment. There are six such functions whatever the
-!! number of derivatives: the stress deviator's components and the pressure.
+!! number of derivatives: the stress deviator's components and the pressure (adjoint, or reverse, differentiation).
 !!
 !! S, |S|, tr D, W, |D|, S^ and tr D^ change as if they were independent, until the end.
 module granumat_tangent

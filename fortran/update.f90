@@ -281,7 +281,7 @@ contains
       steps = rest * graded_rate(par, inc, x, mod_A, rate, e_end) / STEP_RATE
       next_rest = rest - rest / aint(1 + min(steps, real(MAX_STEPS, dp)))
       e_next = e_end + next_rest / max(share, tiny(1.0_dp)) * (e_start - e_end)
-      call add_step(trodden, inner_start(x, rest - next_rest, e_next))
+      if (trodden%whole) call add_step(trodden, inner_start(x, rest - next_rest, e_next))
       call inner_step(par, inc, rest - next_rest, e_next, x, trodden%solution, status)
       rest = merge(next_rest, 0.0_dp, status == OK)
       mod_A = modulus(x%A)
