@@ -75,9 +75,9 @@ def test_tangent_with_an_elastic_strain(rng, closure):
 @pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
 def test_tangent_with_quadratic_friction_and_the_isotropic_term(rng, elastic_strain):
     material = Material(0.5, friction="quadratic", b1=0.1, b2=-3.0, b3=-8.0, g=1e-3, elastic_strain=elastic_strain)
-    states, gradient = random_states(rng, material, 300, 0.02, excess=(0.8, 1.2))
+    states, gradient = random_states(rng, material, 300, 0.01, excess=(0.8, 1.2))
     size = tensors.modulus(tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2))
-    good = (size > 1e-3) & (tensors.modulus(states["fabric"]) > 0.02)          # away from the kink at A = 0
+    good = (size > 5e-4) & (tensors.modulus(states["fabric"]) > 0.02)          # away from the kink at A = 0; one inner step
     check(material, states[good], gradient[good], 0.03, 1e-8)
 
 
