@@ -23,7 +23,7 @@ module granumat_element
   integer, parameter :: TOO_LARGE = 2                ! log F does not converge: the increment turns or strains by too much
   integer, parameter :: MAX_TERMS = 40               ! of log F
   integer, parameter :: VOIGT(3, 3) = reshape([1, 4, 5, 4, 2, 6, 5, 6, 3], [3, 3])
-  integer, parameter :: SPIN(3, 3) = reshape([0, -7, -8, 7, 0, -9, 8, 9, 0], [3, 3])     ! (k, l): sign and seed of W_kl
+  integer, parameter :: SPIN(3, 3) = reshape([0, -7, -8, 7, 0, -9, 8, 9, 0], [3, 3])     ! (k, l): sign and column of W_kl
 
 contains
 
