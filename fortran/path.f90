@@ -8,7 +8,7 @@ module granumat_path
   use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
-  use granumat_tangent, only: N_COLUMNS, PULLED_IN_SPACE
+  use granumat_tangent, only: N_COLUMNS
   use granumat_tensors, only: LANES, strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
@@ -27,6 +27,7 @@ module granumat_path
     real(dp), allocatable :: mode(:, :, :)       ! (3, 3, m)
     real(dp), allocatable :: columns(:, :)       ! (N_COLUMNS, m): strain and spin of each mode
     real(dp), allocatable :: functional(:, :)    ! (6, m): weights of stress 11 22 33 12 13 23
+    integer :: n_pulled                          ! what the functionals need of the tangent, see update
   end type control
 
   integer, parameter :: MAX_MODES = 6
@@ -57,7 +58,7 @@ contains
     real(dp) :: step, rates(size(mode, 3))
     integer :: i, point_status(1)
 
-    law = control(par, mode, columns_of(mode), functional)
+    law = control(par, mode, columns_of(mode), functional, pulled_for(functional))
     state = start
     step = 1
     rates = 0
@@ -78,6 +79,17 @@ contains
       done = i
     end do
   end subroutine follow_path
+
+  !> The pressure, and the components of the deviator up to the last that has a weight.
+  pure function pulled_for(functional) result(n_pulled)
+    real(dp), intent(in) :: functional(:, :)
+    integer :: n_pulled
+    real(dp) :: weights(5, size(functional, 2))
+    weights(1, :) = functional(1, :) - functional(2, :)
+    weights(2, :) = 2 * functional(3, :) - functional(1, :) - functional(2, :)
+    weights(3:, :) = functional(4:, :)
+    n_pulled = 1 + findloc(any(abs(weights) > 0, 2), .true., 1, back=.true.)
+  end function pulled_for
 
   pure function columns_of(mode) result(columns)
     real(dp), intent(in) :: mode(:, :, :)
@@ -206,7 +218,7 @@ contains
     end do
     call gather([old], x)
     call strain_and_spin(total, strain, spin)
-    call update(law%par, x, strain, spin, x_new, status, PULLED_IN_SPACE, tangent)
+    call update(law%par, x, strain, spin, x_new, status, law%n_pulled, tangent)
     call scatter(x_new, state)
     found%q(:m) = q
     found%status = status(1)

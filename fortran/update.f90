@@ -39,7 +39,7 @@ contains
     real(dp), intent(in) :: spin(LANES, 3)      ! increments of W12 W13 W23, W_ij = (du_i/dx_j - du_j/dx_i)/2
     type(lane_state), intent(out) :: new
     integer, intent(out) :: status(LANES)
-    integer, intent(in), optional :: n_pulled              ! PULLED_IN_SPACE, or PULLED_IN_PLANE where stresses 13 23 do not matter
+    integer, intent(in), optional :: n_pulled              ! 1 ... 6: of the pressure, and the deviator's first components
     real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS)    ! change of the stress with each strain and spin, as above
     type(increment) :: inc
     logical :: moves(LANES)
