@@ -56,7 +56,7 @@ module granumat_increment
     type(inner_solution) :: solution
     type(inner_start), allocatable :: earlier(:)     ! has steps - 1, and room for more
     integer :: steps = 0
-    logical :: whole
+    logical :: whole                                 ! whether all are wanted
   end type trail
 
 contains

@@ -106,9 +106,9 @@ def compare(control, rate, tolerance):
 
 BATCH_SHEAR = 0.01                # largest shear strain of an increment
 BYTES = 160 + 72 + 160 + 4        # a point's old state and gradient read, new state and status written
-# Additions, multiplications and divisions of one update: about 75 in each of 8 terms of the series, 16 exponentials and series
+# Additions, multiplications and divisions of one update: about 68 in each of 8 terms of the series, 16 exponentials and series
 # at the nodes of 24 each, 300 for stress, nodes and checks.
-OPERATIONS = 8 * 75 + 16 * 24 + 300
+OPERATIONS = 8 * 68 + 16 * 24 + 300
 
 
 def random_batch(material, n, shear=BATCH_SHEAR, seed=0):
