@@ -293,21 +293,23 @@ contains
     real(dp), intent(in) :: X(LANES, 3, 3, 3, 3)     ! (k, l, i, j): column's component and derivative, row's
     integer, intent(in) :: d
     real(dp), intent(inout) :: matrix(:, :, :)       ! (LANES, d nodes, d nodes)
-    real(dp) :: T(LANES, 3)
-    integer :: a, b, i, j, k, row, column
+    real(dp) :: T(LANES, 3, 3)
+    integer :: a, b, i, k, m, row, column
 
-    do b = 1, size(spatial, 3)
-      do k = 1, d
-        column = (b - 1) * d + k
-        do i = 1, d
-          do j = 1, 3
-            T(:, j) = dv * (X(:, k, 1, i, j) * spatial(:LANES, 1, b) + X(:, k, 2, i, j) * spatial(:LANES, 2, b) &
-              + X(:, k, 3, i, j) * spatial(:LANES, 3, b))
+    do a = 1, size(spatial, 3)
+      do i = 1, d
+        row = (a - 1) * d + i
+        do m = 1, 3
+          do k = 1, d
+            T(:, k, m) = dv * (X(:, k, m, i, 1) * spatial(:LANES, 1, a) + X(:, k, m, i, 2) * spatial(:LANES, 2, a) &
+              + X(:, k, m, i, 3) * spatial(:LANES, 3, a))
           end do
-          do a = 1, size(spatial, 3)
-            row = (a - 1) * d + i
-            matrix(:LANES, column, row) = matrix(:LANES, column, row) + T(:, 1) * spatial(:LANES, 1, a) &
-              + T(:, 2) * spatial(:LANES, 2, a) + T(:, 3) * spatial(:LANES, 3, a)
+        end do
+        do b = 1, size(spatial, 3)
+          do k = 1, d
+            column = (b - 1) * d + k
+            matrix(:LANES, column, row) = matrix(:LANES, column, row) + T(:, k, 1) * spatial(:LANES, 1, b) &
+              + T(:, k, 2) * spatial(:LANES, 2, b) + T(:, k, 3) * spatial(:LANES, 3, b)
           end do
         end do
       end do
