@@ -11,9 +11,6 @@ from petsc4py import PETSc
 
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
 _Int = np.ctypeslib.as_ctypes_type(PETSc.IntType)
-_ADD = int(PETSc.InsertMode.ADD)
-for _name in ("MatSetValues", "MatSetValuesBlocked"):
-    getattr(_petsc, _name).argtypes = [ctypes.c_void_p, *(_Int, ctypes.c_void_p) * 2, ctypes.c_void_p, ctypes.c_int]
 ERROR_IN_LIBRARY = 76              # PETSc's number for what MUMPS makes of some matrices that it cannot factorise
 DIRECT = {"mat_type": "baij", "ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # The norm is that of the residual itself, from the right: matrices after a reversal or where shear localises are indefinite, and
@@ -100,12 +97,14 @@ class System:
         hosts = parts // block
         own = (parts == hosts[..., :1] * block + np.arange(block)).all(axis=2) | (parts < 0).all(axis=2)
         self._nodes = np.ascontiguousarray(hosts[..., 0])
-        self._whole, self._mixed = np.flatnonzero(own.all(axis=1)).tolist(), np.flatnonzero(~own.all(axis=1)).tolist()
+        whole = own.all(axis=1)
+        runs = np.split(np.arange(len(whole)), np.flatnonzero(np.diff(whole)) + 1)
+        self._runs = [(slice(run[0], run[-1] + 1), whole[run[0]]) for run in runs if len(run)]
 
         first, last = (end // block for end in self._right.getOwnershipRange())
         base = self.size // block
         keys = [np.arange(first, last) * (base + 1)]
-        for nodes in (self._nodes[self._whole], self._labels[self._mixed] // block):
+        for nodes in (self._nodes[whole], self._labels[~whole] // block):
             row, column = np.broadcast_arrays(nodes[:, :, None].astype(np.int64), nodes[:, None, :])
             keys.append((row * base + column)[(row >= 0) & (column >= 0)])
         keys = np.unique(np.concatenate(keys))
@@ -143,19 +142,12 @@ class System:
     def assemble(self):
         """The matrix of the elements' matrices."""
         self._matrix.zeroEntries()
-        self._add(_petsc.MatSetValuesBlocked, self._whole, self._nodes)
-        self._add(_petsc.MatSetValues, self._mixed, self._labels)
+        for cells, whole in self._runs:
+            add, rows = (self._matrix.setValuesBlockedRCV, self._nodes) if whole else (self._matrix.setValuesRCV, self._labels)
+            add(rows[cells], rows[cells], self.matrices[cells], addv=True)
         ones = np.arange(len(self._unused) + 1, dtype=PETSc.IntType), self._unused, np.ones(len(self._unused))
         self._matrix.setValuesIJV(*ones, addv=True, rowmap=self._unused)
         self._matrix.assemble()
-
-    def _add(self, add_values, cells, rows):
-        """Adds the cells' matrices, whose rows (all cells, m) are given; negative ones are left out."""
-        m, matrix = rows.shape[1], self._matrix.handle
-        places, place = rows.ctypes.data, rows.strides[0]
-        values, value = self.matrices.ctypes.data, self.matrices.strides[0]
-        for cell in cells:
-            _check(add_values(matrix, m, places + cell * place, m, places + cell * place, values + cell * value, _ADD))
 
     def solve_assembled(self, right):
         """Whether the first solver, or the second, solves the equations."""
