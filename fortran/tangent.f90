@@ -282,8 +282,8 @@ contains
       by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
       call deviator_slopes(par, step%A(:, :, m), inc%S_hat, S_matrix, step%p(:, m), by_A, by_S_hat)
       do i = 1, size(f)
-        call pull_node(step%R(:, :, :, min(m, N_NODES)), m == AT_END, step%weights(:, m), step%unit(:, :, m), step%A(:, :, m), &
-          by, by_A, by_S_hat, f(i), at(i)%A(:, :, m), at(i)%excess(:, m))
+        call pull_node(step%R(:, :, :, merge(m, 0, m < AT_END)), m == AT_END, step%weights(:, m), step%unit(:, :, m), &
+          step%A(:, :, m), by, by_A, by_S_hat, f(i), at(i)%A(:, :, m), at(i)%excess(:, m))
       end do
       if (m < AT_END) cycle
       do i = 1, size(f)
