@@ -140,13 +140,16 @@ contains
       f(:, i) = excess_coordination(par, step%phi(:, i) - par%phic)
       f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_slope(par, step%phi(:, i) - par%phic)
     end do
+    factors%inverse_y(:, :N_NODES) = 1 / step%y
+    factors%inverse_y(:, AT_END) = 1 / step%y_end
     before = 1
     needed(:, 0) = 1
     by_y(:, :, 0) = 0
     do k = 1, factors%terms                              ! by the lane, whatever others need
       needed(:, k) = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= TANGENT_REST)
       do i = 1, N_NODES
-        by_y(:, i, k) = -par%d1 * needed(:, k) * before(:, i) * (k / par%c3 + step%t(:, i) * step%A_S(:, i)) / step%y(:, i)
+        by_y(:, i, k) = -par%d1 * needed(:, k) * before(:, i) * (k / par%c3 + step%t(:, i) * step%A_S(:, i)) &
+          * factors%inverse_y(:, i)
         before(:, i) = before(:, i) * step%t(:, i)
       end do
     end do
@@ -158,8 +161,6 @@ contains
       do i = 1, N_NODES
         kernel(:, i) = INTEGRAL(i, m) * step%growth(:, i) * step%dt(:, i) * decay
       end do
-      if (m < AT_END) factors%inverse_y(:, m) = 1 / step%y(:, m)
-      if (m == AT_END) factors%inverse_y(:, m) = 1 / step%y_end
       factors%by_excess(:, m) = decay
       factors%by_mod_S(:, m) = 0
       factors%by_mod_D(:, m) = -t * step%excess(:, m)
@@ -271,7 +272,7 @@ contains
     type(inner_solution), intent(in) :: step
     type(pulled), intent(inout) :: f(:)                  ! components of the deviator
     type(met), intent(inout) :: at(:)
-    real(dp) :: by_mod_D(LANES, 5), turned(LANES, 5, 0:2), twice(LANES, 3)
+    real(dp) :: by_mod_D(LANES, 5), turned(LANES, 5, 0:2), twice(LANES, 3), q(LANES, 5), by_p(LANES)
     real(dp), dimension(LANES, 5, 5) :: S_matrix, by_A, by_S_hat
     type(pressure_change) :: by
     integer :: i, m
@@ -282,13 +283,18 @@ contains
       by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
       call deviator_slopes(par, step%A(:, :, m), inc%S_hat, S_matrix, step%p(:, m), by_A, by_S_hat)
       do i = 1, size(f)
-        call pull_node(step%R(:, :, :, merge(m, 0, m < AT_END)), m == AT_END, step%weights(:, m), step%unit(:, :, m), &
-          step%A(:, :, m), by, by_A, by_S_hat, f(i), at(i)%A(:, :, m), at(i)%excess(:, m))
-      end do
-      if (m < AT_END) cycle
-      do i = 1, size(f)
-        at(i)%A(:, :, m) = at(i)%A(:, :, m) + f(i)%A
-        at(i)%excess(:, m) = at(i)%excess(:, m) + f(i)%excess
+        q = f(i)%dev
+        if (m < AT_END) q = transposed_times(step%R(:, :, :, m), q)
+        q = times(step%weights(:, m), q)
+        by_p = contract(q, step%unit(:, :, m))
+        f(i)%tr_direction = f(i)%tr_direction + by_p * by%trace
+        f(i)%S_hat = f(i)%S_hat + transposed_times(by_S_hat, q)
+        q = transposed_times(by_A, q) + times(by_p * by%A, step%A(:, :, m))
+        by_p = by_p * by%excess
+        if (m == AT_END) q = q + f(i)%A
+        if (m == AT_END) by_p = by_p + f(i)%excess
+        at(i)%A(:, :, m) = q
+        at(i)%excess(:, m) = by_p
       end do
     end do
     do i = 1, size(f)
@@ -299,39 +305,6 @@ contains
       f(i)%dev = times(step%weights(:, 0), transposed_times(step%R(:, :, :, 0), f(i)%dev))
     end do
   end subroutine pull_relaxation
-
-  !> To what makes the model's deviator at a node, or the end, where nothing turns any more; hot.
-  pure subroutine pull_node(R, at_end, weight, unit, A, by, by_A, by_S_hat, f, f_A, f_excess)
-    real(dp), intent(in) :: R(LANES, 5, 5), weight(LANES), unit(LANES, 5), A(LANES, 5)
-    logical, intent(in) :: at_end
-    type(pressure_change), intent(in) :: by
-    real(dp), intent(in), dimension(LANES, 5, 5) :: by_A, by_S_hat
-    type(pulled), intent(inout) :: f
-    real(dp), intent(out) :: f_A(LANES, 5), f_excess(LANES)
-    real(dp) :: q(5), turned(LANES, 5), by_p
-    integer :: i, j
-
-    if (at_end) then
-      turned = f%dev
-    else
-      turned = transposed_times(R, f%dev)
-    end if
-    do i = 1, LANES
-      do j = 1, 5
-        q(j) = weight(i) * turned(i, j)
-      end do
-      by_p = q(1) * unit(i, 1) + q(2) * unit(i, 2) + q(3) * unit(i, 3) + q(4) * unit(i, 4) + q(5) * unit(i, 5)
-      f_excess(i) = by_p * by%excess(i)
-      f%tr_direction(i) = f%tr_direction(i) + by_p * by%trace(i)
-      by_p = by_p * by%A(i)
-      do j = 1, 5
-        f_A(i, j) = by_p * A(i, j) + by_A(i, 1, j) * q(1) + by_A(i, 2, j) * q(2) + by_A(i, 3, j) * q(3) + by_A(i, 4, j) * q(4) &
-          + by_A(i, 5, j) * q(5)
-        f%S_hat(i, j) = f%S_hat(i, j) + by_S_hat(i, 1, j) * q(1) + by_S_hat(i, 2, j) * q(2) + by_S_hat(i, 3, j) * q(3) &
-          + by_S_hat(i, 4, j) * q(4) + by_S_hat(i, 5, j) * q(5)
-      end do
-    end do
-  end subroutine pull_node
 
   !> What the relaxing deviator changes by with |D|; and with the spin: the change V of a rotation by w u is that of w, to which
   !! come commutators with w, once and twice, times u^2 (1 - cos(a))/a^2 and u^3 (a - sin(a))/a^3.
