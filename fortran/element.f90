@@ -56,8 +56,8 @@ contains
         J = jacobian(shape_gradients(:, :, q), x_old)
         if (d == 2) J(:, 3, 3) = 1
         J_u = jacobian(shape_gradients(:, :, q), du)
-        call invert(J, inverse, det_old)
-        call invert(J + J_u, inverse, det)
+        det_old = determinant(J)
+        det = determinant(J + J_u)
         call invert(J + J_u / 2, inverse, det_middle)
         point_volume(:, q) = weights(q) * abs(det)
         old_volume = old_volume + weights(q) * abs(det_old)
@@ -451,6 +451,12 @@ contains
       end do
     end do
   end subroutine invert
+
+  pure function determinant(M) result(det)
+    real(dp), intent(in) :: M(LANES, 3, 3)
+    real(dp) :: det(LANES)
+    det = sum(cross(M(:, :, 2), M(:, :, 3)) * M(:, :, 1), 2)
+  end function determinant
 
   pure function cross(a, b) result(c)
     real(dp), intent(in), dimension(LANES, 3) :: a, b
