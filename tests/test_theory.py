@@ -115,7 +115,7 @@ class Substep:
         self.dt = 2 * tau_points / sum(tau)
         self.phi = phi * np.exp(-self.tr_D * self.t)                                                     # 3.1
         self.f, self.f_slope = np.array([law.excess_target(value) for value in self.phi]).T
-        if law.critical:                                                                                # 1.6
+        if law.critical:                                                                                # 1.5
             self.A, self.excess = np.tile(c["lambda"] * inc["S_hat"], (5, 1)), self.f
         else:
             self.solve_microstructure(c, A, excess)
