@@ -140,6 +140,9 @@ contains
   end subroutine add_start
 
   !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2 and phi can change where the law is smooth.
+  !!
+  !! The factor 2 keeps d2 |D|, |tr D| and the angle of a substep at or below SUBSTEP_RATE/2 = 0.2, up to where `exponential` and
+  !! `rotation_series` are exact to round-off.
   pure function rate_bound(par, inc, mod_A) result(rate)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
