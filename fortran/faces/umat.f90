@@ -174,8 +174,9 @@ contains
     lanes_L = 0
     found = spin_from == SPIN_NONE
     if (spin_from == SPIN_DROT .and. present(drot)) call rotation_logarithm(spread(drot, 1, LANES), lanes_L, found)
-    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) &
+    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) then
       call gradient_logarithm(spread(dfgrd0, 1, LANES), spread(dfgrd1, 1, LANES), lanes_L, found)
+    end if
     L = lanes_L(1, :, :)
     if (spin_from >= SPIN_DFGRD) then
       strain = [L(1, 1), L(2, 2), L(3, 3), L(1, 2) + L(2, 1), L(1, 3) + L(3, 1), L(2, 3) + L(3, 2)]
