@@ -181,7 +181,7 @@ def test_unknown_methods_are_refused_by_name_all_at_once_and_by_the_core():
     for words in ("method 'rk5'", "did you mean 'rk4'", "spin 'after'", "method_tolerance = 0: must be a number in (0, 1)"):
         assert words in str(caught.value)
     for wrong in ((6, 0, 1e-6), (-1, 0, 1e-6), (0, 2, 1e-6), (0, 0, np.nan), (0, 0, 1.0)):
-        par = np.array(Material()._par)
+        par = np.array(Material().parameters)
         core.set_method(par, *wrong)
         assert check(par, np.array([Material().steady(0.6)]).view(float).reshape(1, 20), 0.01 * SHEAR[None]) == 2
 
