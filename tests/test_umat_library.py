@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from granumat import Material
-from granumat import STATE
+from granumat import STATE, Material
 from umat_host import BUILD
 
 ROOT = Path(__file__).parents[1]

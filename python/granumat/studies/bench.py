@@ -1,5 +1,7 @@
-"""Prints what the core costs: a point of a batch and its tangent, by batch size and threads; beside NumPy and SciPy at equal error; a
-UMAT call; Newton's residuals; and load paths of 1000 increments beside SciPy's solvers of the same equations.
+"""Prints what the core costs, beside NumPy, SciPy and an elastic UMAT.
+
+Tables are printed of a point of a batch and its tangent, by the size of the batch and the number of threads; of a UMAT call; of
+NumPy and SciPy at equal error; of Newton's residuals; and of load paths of 1000 increments, by the driver and by SciPy's solvers.
 
 The time of a batch is the least of many measurements, in processor time where one thread works: whatever else the machine does
 only adds to it. SciPy gets the rate form of the law in plain floats (`rate_form`), the fastest right-hand side that there is for
@@ -40,7 +42,8 @@ class Effort(NamedTuple):
     repeats: int                # of a load path and of the UMAT, of which the median counts
 
 
-FULL = Effort(points=2_000, streamed=200_000, operations=2_000_000, rounds=300, sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000),
+FULL = Effort(points=2_000, streamed=200_000, operations=2_000_000, rounds=300,
+              sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000),
               cases=tuple(chart.CASES), case_points=chart.POINTS, case_rounds=5, umat_points=20_000, increments=1000, repeats=7)
 QUICK = Effort(points=1_000, streamed=100_000, operations=200_000, rounds=10, sizes=(1_000, 10_000),
                cases=("reversal",), case_points=8, case_rounds=1, umat_points=1_000, increments=50, repeats=1)
@@ -84,8 +87,9 @@ def least_seconds(actions: Sequence[Callable[[], Any]], rounds: int, clock: Call
 
 
 def print_batch(effort: Effort) -> None:
-    """Print the cost of a point of a batch in the cache, over streaming its bytes from memory and over its operations in registers,
-    with the tangent, and with two threads.
+    """Print the cost of a point of a batch in the cache, with its tangent, and with two threads.
+
+    It is compared with streaming the point's bytes from memory and with the same number of operations in registers.
     """
     n, streamed, operations = effort.points, effort.streamed, effort.operations
     material = Material()

@@ -1,8 +1,10 @@
-"""Prints and draws what a Newton iteration costs: who takes the time, beside plain linear elasticity, on two ranks, and how time
-and memory grow with the problem.
+"""Prints and draws what a Newton iteration of the finite-element solver costs.
+
+Shown are the shares of its parts, the cost over that of linear elasticity in UFL, the gain by two ranks, and how time and memory
+grow with the problem.
 
 Every measurement is a process of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its
-peak, time the processor's.
+peak, and time is the processor's.
 """
 
 import contextlib
@@ -13,7 +15,9 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import ufl
@@ -31,45 +35,61 @@ from ..fem.problem import Problem
 from ..fem.system import ITERATIVE, make_solver
 from ..material import Material
 
-CELLS = 27                             # a side: 19 683 hexahedra
-SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns
-SHEAR = 0.005                          # of an increment
+CELLS = 27                             # along an edge: 19 683 hexahedra
+SIZES = (11, 17, 27, 39)               # cells along an edge, 5 184 to 192 000 unknowns
+SHEAR = 0.005                          # shear strain of an increment
 INCREMENTS = 2
-REPEATS = 5
-PAIRS = 3                              # of runs on one and on two ranks
+REPEATS = 5                            # of an iteration of linear elasticity, of which the median counts
+PAIRS = 3                              # of runs on one and on two ranks, of whose ratios the median counts
 PHASES = ("material", "coupling", "assembly", "solution")
 
 
-def shear_cell(comm, n, **options):
-    """A cube of n**3 hexahedra in simple shear at constant volume, periodic sides, on its way to a steady state, a volume fraction
-    that varies in space."""
+Measured = dict[str, Any]
+
+
+def shear_cell(comm: MPI.Comm, n: int, **options: Any) -> Problem:
+    """Make a cube in simple shear at constant volume, with periodic sides, before its steady state.
+
+    Parameters
+    ----------
+    comm : MPI.Comm
+    n : int
+        Hexahedra along an edge.
+    **options
+        Of Problem.
+
+    Returns
+    -------
+    Problem
+        Its volume fraction varies in space, and so does its solution.
+    """
     material = Material(0.5, elastic_strain=1e-2)
 
-    def state(x):
+    def state(x: np.ndarray) -> np.ndarray:
         states = np.full(len(x), material.steady(0.60), STATE)
         states["fabric"] *= 0.3
         states["stress"][:, 3:] *= 0.3
         states["volume_fraction"] += 0.005 * np.cos(2 * np.pi * x).prod(axis=1)
         return states
 
-    def side(axis, end):
+    def side(axis: int, end: float) -> Any:
         return lambda x: np.isclose(x[axis], end)
 
-    conditions = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0]))]
+    conditions: list[Any] = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0]))]
     conditions += [Periodic(side(axis, 1), lambda x, axis=axis: x - np.eye(3)[axis]) for axis in range(2)]
     return Problem(box(comm, (1, 1, 1), (n, n, n)), material, state, conditions, **options)
 
 
 @contextlib.contextmanager
-def _phases(problem):
-    """Seconds of each phase, filled as the problem runs; coupling is what is not material, assembly or solution."""
+def _phases(problem: Problem) -> Iterator[dict[str, float]]:
+    """Processor seconds of each phase while the problem is solved; coupling is all that is not material, assembly or solution."""
     seconds = dict.fromkeys(PHASES, 0.0)
     watched = []
 
-    def time_it(owner, name, phase):
+    def time_it(owner: Any, name: str, phase: str) -> None:
         action = getattr(owner, name)
 
-        def timed(*arguments, **options):
+        def timed(*arguments: Any, **options: Any) -> Any:
             start = time.process_time()
             try:
                 return action(*arguments, **options)
@@ -90,12 +110,16 @@ def _phases(problem):
         setattr(owner, name, action)
 
 
-def measure(n, comm=MPI.COMM_WORLD):
-    """What the shear cell costs: unknowns, Newton and Krylov iterations, processor seconds of a Newton iteration, bytes an unknown.
+def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Measured:
+    """Measure the shear cell with n hexahedra along an edge.
 
-    Seconds and bytes are those of the rank that has most.
+    Returns
+    -------
+    dict
+        "unknowns"; "newton" and "krylov", iterations in all and for each Newton iteration; "iteration" and each of PHASES,
+        processor seconds of a Newton iteration on the rank that takes most; "bytes" for each unknown, of all ranks together.
     """
-    problem = shear_cell(comm, 2)                                  # everything that is imported or made once
+    problem = shear_cell(comm, 2)                                  # so that what is imported or compiled once is not measured
     problem.accept(problem.solve_increment(1.0))
     start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     problem = shear_cell(comm, n)
@@ -108,20 +132,20 @@ def measure(n, comm=MPI.COMM_WORLD):
             newton += len(trial.residuals) - 1
             problem.accept(trial)
     bytes_used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - start
-    krylov = len(problem.system.solver.getConvergenceHistory()) - newton           # each history begins with the right-hand side
+    krylov = len(problem.system.solver.getConvergenceHistory()) - newton           # each history begins before the first iteration
     found = {"unknowns": problem.system.size, "newton": newton, "krylov": round(krylov / newton)}
     found |= {phase: comm.allreduce(value, MPI.MAX) / newton for phase, value in seconds.items()}
     return found | {"iteration": comm.allreduce(sum(seconds.values()), MPI.MAX) / newton,
                     "bytes": comm.allreduce(bytes_used) / problem.system.size}
 
 
-def measure_elasticity(n, krylov, matrix_type):
-    """Processor seconds of an iteration of linear elasticity in plain UFL: residual, matrix, so many Krylov iterations."""
+def measure_elasticity(n: int, krylov: int, matrix_type: str) -> float:
+    """Processor seconds of residual, matrix and a number of Krylov iterations of linear elasticity in UFL, on the same mesh."""
     problem = shear_cell(MPI.COMM_WORLD, n)
     space = problem.space
     u, v, w = fem.Function(space), ufl.TestFunction(space), ufl.TrialFunction(space)
 
-    def stress(displacement):
+    def stress(displacement: Any) -> Any:
         strain = ufl.sym(ufl.grad(displacement))
         return ufl.tr(strain) * ufl.Identity(3) + 2 * strain
 
@@ -147,8 +171,8 @@ def measure_elasticity(n, krylov, matrix_type):
     return statistics.median(seconds)
 
 
-def _run(arguments, ranks=1):
-    """What a process of its own, or several, measured."""
+def _run(arguments: Sequence[object], ranks: int = 1) -> Any:
+    """Let a process of its own, or one for each rank, measure."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
                                 "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     command = [sys.executable, "-m", "granumat.studies.bench_fem", *map(str, arguments)]
@@ -159,8 +183,18 @@ def _run(arguments, ranks=1):
     return json.loads(result.stdout.splitlines()[-1])
 
 
-def print_fem(directory, n=CELLS, sizes=SIZES):
-    """Prints the ratios and draws them into directory/fem-cost.png."""
+def print_fem(directory: str | Path, n: int = CELLS, sizes: Sequence[int] = SIZES) -> None:
+    """Print all ratios, and draw them into the file fem-cost.png of a directory.
+
+    Parameters
+    ----------
+    directory : path
+        It is created if it does not exist.
+    n : int
+        Cells along an edge where shares and ranks are measured.
+    sizes : sequence of int
+        Cells along an edge where the growth is measured.
+    """
     one = _run([n])
     print(f"shear cell of {n**3} hexahedra, {one['unknowns']} unknowns: {one['newton'] / INCREMENTS:.1f} Newton iterations an "
           f"increment, {one['krylov']} Krylov iterations each, {one['iteration']:.2f} s of one processor a Newton iteration:")
@@ -172,7 +206,7 @@ def print_fem(directory, n=CELLS, sizes=SIZES):
               "iterations")
     pairs = [(_run([n], ranks=2), _run([n])) for _ in range(PAIRS)]
     ratios = {name: statistics.median(two[name] / one[name] for two, one in pairs) for name in ("iteration", *PHASES)}
-    busy = os.getloadavg()[0] / os.cpu_count()
+    busy = os.getloadavg()[0] / (os.cpu_count() or 1)
     print(f"  2 ranks take {ratios.pop('iteration'):.2f} of the time of 1 (median of {PAIRS}; {busy:.1f} processes a processor "
           "meanwhile): " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
     print(f"{'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12}")
@@ -182,14 +216,14 @@ def print_fem(directory, n=CELLS, sizes=SIZES):
         growth.append(row)
         print(f"{row['unknowns']:>10} {row['newton'] / INCREMENTS:>8.1f} {row['krylov']:>8} "
               f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f}", flush=True)
-    path = Path(directory) / "fem-cost.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw(one, elasticity, growth).savefig(path, dpi=110)
-    print(f"wrote {path}")
+    file = Path(directory) / "fem-cost.png"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    draw(one, elasticity, growth).savefig(file, dpi=110)
+    print(f"wrote {file}")
 
 
-def draw(one, elasticity, growth):
-    """The shares beside linear elasticity, and the growth."""
+def draw(one: Measured, elasticity: Mapping[str, float], growth: Sequence[Measured]) -> Figure:
+    """Draw the shares of the phases beside linear elasticity, and the growth of time and memory with the number of unknowns."""
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     bars, times, memory = figure.subplots(1, 3)
     bottom = 0.0

@@ -21,7 +21,7 @@ VOLUME_RATE_TOLERANCE = 1e-14      # of the volume strain rate at constant press
 MOST_ITERATIONS = 50
 
 Component = Any                    # float or array (n,)
-Components = Sequence[Component]
+Components = Sequence[Component] | np.ndarray
 Constants = Mapping[str, float]
 
 
@@ -74,12 +74,12 @@ def corotate(w: Components, x: Components) -> Components:
 
 
 def pressure(c: Constants, A: Components, z2: Component) -> Component:
-    """p of (4.2), Hookean."""
+    """Pressure p of a Hookean material (4.2)."""
     return (c["a1"] + c["a2"] * magnitude(A)) * positive(z2 - c["Zc"]) ** 2
 
 
 def deviatoric_stress(c: Constants, flow: Flow, A: Components, z2: Component) -> list[Component]:
-    """sigma' of (A 4) with (4.5), compression positive."""
+    """Deviatoric stress sigma' (A 4) with eta of (4.5), compression positive."""
     xx, yy, zz, xy, xz, yz = A
     n1, n2, n3, n4, n5, n6 = n = [component / flow.mod_D for component in flow.S]                     # S^
     x = contract(A, n)                                                                                # A:S^
@@ -95,7 +95,7 @@ def deviatoric_stress(c: Constants, flow: Flow, A: Components, z2: Component) ->
 
 
 def steady_coordination(c: Constants, phi: Component) -> Component:
-    """f of (4.9): the Z2 towards which (4.8) tends at constant volume once A:S^ = chi."""
+    """The f of (4.9), the Z2 towards which (4.8) tends at constant volume once A:S^ = chi."""
     return c["Zc"] + c["beta1"] * positive(phi - c["phic"]) ** c["beta2"]
 
 
