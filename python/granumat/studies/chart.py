@@ -193,7 +193,7 @@ def errors(trajectory: np.ndarray, exact: np.ndarray, kappa: float) -> list[floa
     trajectory, exact : array (steps, 14, n)
         Results.
     kappa : float
-        The unit of A.
+        Magnitude of the steady fabric (A 7)-(A 9), by which errors of A are divided.
 
     Returns
     -------
