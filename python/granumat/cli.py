@@ -69,10 +69,11 @@ def _parser() -> argparse.ArgumentParser:
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
     bench = command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
-    bench.add_argument("--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
-                       help="time a finite-element problem instead, and draw it into DIR (.)")
-    bench.add_argument("--quick", action="store_true",
-                       help="all tables from few, small measurements in a minute at most; ratios are rough")
+    kind = bench.add_mutually_exclusive_group()
+    kind.add_argument("--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
+                      help="time a finite-element problem instead, and draw it into DIR (.)")
+    kind.add_argument("--quick", action="store_true",
+                      help="all tables from few, small measurements in a minute at most; ratios are rough")
     return parser
 
 

@@ -49,13 +49,27 @@ def describe_range(name: str) -> str:
 
 
 class Ellipticity(NamedTuple):
-    """What `Material.ellipticity` finds, for states of shape (...)."""
+    """What `Material.ellipticity` finds, for states of shape (...).
 
-    eta_t: np.ndarray                   # (...): transverse modulus over p
-    eigenvalue: np.ndarray              # (...): smallest of the acoustic tensor's symmetric part, in p
-    normal: np.ndarray                  # (..., 3): normal at which it is found
-    determinant: np.ndarray             # (...): smallest of the acoustic tensor, in p^2 (e_r = 0) or p^3
-    determinant_normal: np.ndarray      # (..., 3): normal at which it is found
+    Attributes
+    ----------
+    eta_t : array (...)
+        Transverse modulus over p, see `Material.transverse_modulus`.
+    eigenvalue : array (...)
+        Smallest eigenvalue of the acoustic tensor's symmetric part over all normals, in p.
+    normal : array (..., 3)
+        The normal at which it is found.
+    determinant : array (...)
+        Smallest determinant of the acoustic tensor over all normals, in p^2 (e_r = 0) or p^3.
+    determinant_normal : array (..., 3)
+        The normal at which it is found.
+    """
+
+    eta_t: np.ndarray
+    eigenvalue: np.ndarray
+    normal: np.ndarray
+    determinant: np.ndarray
+    determinant_normal: np.ndarray
 
 
 class Material:
