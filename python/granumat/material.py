@@ -158,7 +158,7 @@ class Material:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
-        core.set_method(par, method_number, spin_number, method_tolerance)
+        self._scheme = method_number, spin_number, method_tolerance
         self._par = par
         self._par.flags.writeable = False
         self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
@@ -187,6 +187,11 @@ class Material:
     def definition(self) -> dict[str, Any]:
         """The arguments that make this material; they are also the table [material] of a path file."""
         return dict(self._given)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether increments are integrated exactly, not by a method that is to be compared."""
+        return self.method == "exact" and self.spin == "inside"
 
     # ---- states ----------------------------------------------------------------------------------------------------
 
@@ -400,10 +405,12 @@ class Material:
             old = old.copy()                                     # the core must not write where it still reads
         status = np.zeros(old.size, np.int32)
         arguments = self._par, old, gradient.reshape(-1, 3, 3), new.reshape(-1), status
-        if tangent is None:
-            core.update(*arguments, threads)
-        else:
+        if tangent is not None:
             core.update_with_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]), threads)
+        elif self.is_exact:
+            core.update(*arguments, threads)
+        if not self.is_exact:
+            core.update_by_method(self._par, self._scheme, *arguments[1:], threads)
         records: Any = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         if status.any():
             first = int(np.flatnonzero(status)[0])
@@ -538,7 +545,8 @@ class Material:
         status : int
             0, or the core's status that tells why fewer than n increments were done.
         """
-        return core.follow_path(self._par, np.array(state, STATE).reshape(1), gradients, modes, functionals, targets, tolerance)
+        start = np.array(state, STATE).reshape(1)
+        return core.follow_path(self._par, self._scheme, start, gradients, modes, functionals, targets, tolerance)
 
 
 def _check_threads(threads: int) -> None:
