@@ -1,10 +1,8 @@
-"""Prints and draws what a Newton iteration of the finite-element solver costs.
+"""What a Newton iteration of a finite-element problem costs.
 
-Shown are the shares of its parts, the cost over that of linear elasticity in UFL, the gain by two ranks, and how time and memory
-grow with the problem.
-
-Every measurement is a process of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its
-peak, and time is the processor's.
+Printed and drawn are the shares of material, coupling, assembly and linear solution, the ratio to an iteration of linear elasticity
+in UFL, the ratio of two ranks to one, and the growth of time and memory with the number of unknowns. Every measurement is a process
+of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its peak, time the processor's.
 """
 
 import contextlib
@@ -15,7 +13,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,33 +33,20 @@ from ..fem.problem import Problem
 from ..fem.system import ITERATIVE, make_solver
 from ..material import Material
 
-CELLS = 27                             # along an edge: 19 683 hexahedra
-SIZES = (11, 17, 27, 39)               # cells along an edge, 5 184 to 192 000 unknowns
-SHEAR = 0.005                          # shear strain of an increment
+CELLS = 27                             # a side: 19 683 hexahedra
+SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns
+SHEAR = 0.005                          # of an increment
 INCREMENTS = 2
-REPEATS = 5                            # of an iteration of linear elasticity, of which the median counts
-PAIRS = 3                              # of runs on one and on two ranks, of whose ratios the median counts
+REPEATS = 5
+PAIRS = 3                              # of runs on one and on two ranks
 PHASES = ("material", "coupling", "assembly", "solution")
 
 
-Measured = dict[str, Any]
-
-
 def shear_cell(comm: MPI.Comm, n: int, **options: Any) -> Problem:
-    """Make a cube in simple shear at constant volume, with periodic sides, before its steady state.
+    """A cube of n**3 hexahedra with periodic sides in simple shear at constant volume.
 
-    Parameters
-    ----------
-    comm : MPI.Comm
-    n : int
-        Hexahedra along an edge.
-    **options
-        Of Problem.
-
-    Returns
-    -------
-    Problem
-        Its volume fraction varies in space, and so does its solution.
+    Fabric and shear stress are 0.3 of those of the steady state, and the volume fraction varies in space. Options are further
+    arguments of Problem.
     """
     material = Material(0.5, elastic_strain=1e-2)
 
@@ -72,21 +57,21 @@ def shear_cell(comm: MPI.Comm, n: int, **options: Any) -> Problem:
         states["volume_fraction"] += 0.005 * np.cos(2 * np.pi * x).prod(axis=1)
         return states
 
-    def side(axis: int, end: float) -> Any:
+    def side(axis: int, end: float) -> Callable[[np.ndarray], np.ndarray]:
         return lambda x: np.isclose(x[axis], end)
 
-    conditions: list[Any] = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0]))]
-    conditions += [Periodic(side(axis, 1), lambda x, axis=axis: x - np.eye(3)[axis]) for axis in range(2)]
+    conditions = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0])),
+                  Periodic(side(0, 1), lambda x: x - [1, 0, 0]), Periodic(side(1, 1), lambda x: x - [0, 1, 0])]
     return Problem(box(comm, (1, 1, 1), (n, n, n)), material, state, conditions, **options)
 
 
 @contextlib.contextmanager
 def _phases(problem: Problem) -> Iterator[dict[str, float]]:
-    """Processor seconds of each phase while the problem is solved; coupling is all that is not material, assembly or solution."""
+    """Seconds of each of PHASES, complete at the end of the block; coupling is what is not material, assembly or solution."""
     seconds = dict.fromkeys(PHASES, 0.0)
-    watched = []
+    replaced = []
 
-    def time_it(owner: Any, name: str, phase: str) -> None:
+    def time_calls(owner: object, name: str, phase: str) -> None:
         action = getattr(owner, name)
 
         def timed(*arguments: Any, **options: Any) -> Any:
@@ -96,30 +81,30 @@ def _phases(problem: Problem) -> Iterator[dict[str, float]]:
             finally:
                 seconds[phase] += time.process_time() - start
         setattr(owner, name, timed)
-        watched.append((owner, name, action))
+        replaced.append((owner, name, action))
 
-    time_it(problem.material, "update", "material")
-    time_it(problem.material, "update_with_tangent", "material")
-    time_it(core, "element_stiffness", "assembly")
-    time_it(problem.system, "assemble", "assembly")
-    time_it(problem.system, "solve_assembled", "solution")
+    time_calls(problem.material, "update", "material")
+    time_calls(problem.material, "update_with_tangent", "material")
+    time_calls(core, "element_stiffness", "assembly")
+    time_calls(problem.system, "assemble", "assembly")
+    time_calls(problem.system, "solve_assembled", "solution")
     start = time.process_time()
     yield seconds
     seconds["coupling"] = time.process_time() - start - sum(seconds.values())
-    for owner, name, action in watched:
+    for owner, name, action in replaced:
         setattr(owner, name, action)
 
 
-def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Measured:
-    """Measure the shear cell with n hexahedra along an edge.
+def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> dict[str, float]:
+    """What the shear cell of n**3 cells costs; the same on all ranks.
 
     Returns
     -------
     dict
-        "unknowns"; "newton" and "krylov", iterations in all and for each Newton iteration; "iteration" and each of PHASES,
-        processor seconds of a Newton iteration on the rank that takes most; "bytes" for each unknown, of all ranks together.
+        unknowns; newton, the iterations of all INCREMENTS; krylov, the iterations of each of these; the processor's seconds of a
+        Newton iteration, of each of PHASES and in all ("iteration"), on the slowest rank; bytes per unknown.
     """
-    problem = shear_cell(comm, 2)                                  # so that what is imported or compiled once is not measured
+    problem = shear_cell(comm, 2)                                  # what is imported or compiled once does not count
     problem.accept(problem.solve_increment(1.0))
     start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     problem = shear_cell(comm, n)
@@ -132,7 +117,7 @@ def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Measured:
             newton += len(trial.residuals) - 1
             problem.accept(trial)
     bytes_used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 - start
-    krylov = len(problem.system.solver.getConvergenceHistory()) - newton           # each history begins before the first iteration
+    krylov = len(problem.system.solver.getConvergenceHistory()) - newton           # each history begins with the right-hand side
     found = {"unknowns": problem.system.size, "newton": newton, "krylov": round(krylov / newton)}
     found |= {phase: comm.allreduce(value, MPI.MAX) / newton for phase, value in seconds.items()}
     return found | {"iteration": comm.allreduce(sum(seconds.values()), MPI.MAX) / newton,
@@ -140,7 +125,7 @@ def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> Measured:
 
 
 def measure_elasticity(n: int, krylov: int, matrix_type: str) -> float:
-    """Processor seconds of residual, matrix and a number of Krylov iterations of linear elasticity in UFL, on the same mesh."""
+    """The processor's seconds of residual, matrix and so many Krylov iterations of linear elasticity in UFL on the same mesh."""
     problem = shear_cell(MPI.COMM_WORLD, n)
     space = problem.space
     u, v, w = fem.Function(space), ufl.TestFunction(space), ufl.TrialFunction(space)
@@ -161,7 +146,7 @@ def measure_elasticity(n: int, krylov: int, matrix_type: str) -> float:
         start = time.process_time()
         residual = petsc.assemble_vector(right)
         matrix.zeroEntries()
-        petsc.assemble_matrix(matrix, left, [held])
+        petsc.assemble_matrix(matrix, left, [held])                # type: ignore[arg-type]  # dispatched by type
         matrix.assemble()
         petsc.set_bc(residual, [held])
         solver.setOperators(matrix)
@@ -172,7 +157,7 @@ def measure_elasticity(n: int, krylov: int, matrix_type: str) -> float:
 
 
 def _run(arguments: Sequence[object], ranks: int = 1) -> Any:
-    """Let a process of its own, or one for each rank, measure."""
+    """What this module measures with command-line arguments, in a process of its own on each rank."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
                                 "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     command = [sys.executable, "-m", "granumat.studies.bench_fem", *map(str, arguments)]
@@ -184,17 +169,7 @@ def _run(arguments: Sequence[object], ranks: int = 1) -> Any:
 
 
 def print_fem(directory: str | Path, n: int = CELLS, sizes: Sequence[int] = SIZES) -> None:
-    """Print all ratios, and draw them into the file fem-cost.png of a directory.
-
-    Parameters
-    ----------
-    directory : path
-        It is created if it does not exist.
-    n : int
-        Cells along an edge where shares and ranks are measured.
-    sizes : sequence of int
-        Cells along an edge where the growth is measured.
-    """
+    """Prints the measurements and draws them into fem-cost.png in a directory, with n and with sizes cells a side."""
     one = _run([n])
     print(f"shear cell of {n**3} hexahedra, {one['unknowns']} unknowns: {one['newton'] / INCREMENTS:.1f} Newton iterations an "
           f"increment, {one['krylov']} Krylov iterations each, {one['iteration']:.2f} s of one processor a Newton iteration:")
@@ -222,8 +197,8 @@ def print_fem(directory: str | Path, n: int = CELLS, sizes: Sequence[int] = SIZE
     print(f"wrote {file}")
 
 
-def draw(one: Measured, elasticity: Mapping[str, float], growth: Sequence[Measured]) -> Figure:
-    """Draw the shares of the phases beside linear elasticity, and the growth of time and memory with the number of unknowns."""
+def draw(one: dict[str, float], elasticity: dict[str, float], growth: list[dict[str, float]]) -> Figure:
+    """The phases beside linear elasticity, by matrix type, and time and memory against the number of unknowns."""
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     bars, times, memory = figure.subplots(1, 3)
     bottom = 0.0
