@@ -85,7 +85,7 @@ def state_columns(material: Material, states: np.ndarray) -> dict[str, np.ndarra
 
 # ---- conditions that end a step ----------------------------------------------------------------------------------------
 
-OPERATORS = {"<": np.less, ">": np.greater, "<=": np.less_equal, ">=": np.greater_equal}
+OPERATORS: dict[str, Callable[..., np.ndarray]] = {"<": np.less, ">": np.greater, "<=": np.less_equal, ">=": np.greater_equal}
 COMPARISON = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*([-+0-9.eE]+)\s*")
 
 
