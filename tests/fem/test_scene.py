@@ -14,7 +14,7 @@ import pytest
 from mpi4py import MPI
 
 from granumat import Material, fem, tensors
-from granumat.fem import scene, system
+from granumat.fem import scene, scene_file, system
 
 ROOT = Path(__file__).parents[2]
 BOX = """
@@ -52,7 +52,7 @@ def written(tmp_path, text):
 
 def faults(tmp_path, text):
     with pytest.raises(ValueError) as caught:
-        scene.read_scene(written(tmp_path, text))
+        scene_file.read_scene(written(tmp_path, text))
     return str(caught.value)
 
 
@@ -306,7 +306,7 @@ def test_the_reference_blas_is_warned_of_with_the_better_package(monkeypatch):
         monkeypatch.setattr(system.Path, "read_text", lambda self, place=place, **_: maps.format(place))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            system._warn_of_reference_blas()
+            system.warn_of_reference_blas()
         assert [("libopenblas0" in str(warning.message)) for warning in caught] == [True] * told
 
 
