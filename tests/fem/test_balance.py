@@ -1,4 +1,4 @@
-"""Energy and mass: what goes in comes out, and no grain is lost."""
+"""External work equals stress power, and the volume of the grains is conserved."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def block(cells=3, degree=1, cell="quadrilateral"):
 
 
 class Works:
-    """Observer: work of everything from outside, and of the stress, by the trapezoidal rule over the increments."""
+    """Observer: external work (reactions and loads) and stress power, by the trapezoidal rule over the increments."""
 
     def __init__(self):
         self.external, self.internal, self.before = 0.0, 0.0, None

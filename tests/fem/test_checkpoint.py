@@ -125,7 +125,7 @@ def test_a_checkpoint_of_another_problem_is_refused_with_every_difference(checkp
                   "condition 2: None in the checkpoint, {'kind': 'Pressure', 'where': 'a function', 'value': 0.01} here",
                   "gravity: None in the checkpoint, [0.0, -0.001] here", "'volume_fraction': 0.61", "rate_term: 0.0 in"):
         assert words in str(caught.value), words
-    assert "condition 1" not in str(caught.value)                                  # a function, for all one can tell
+    assert "condition 1" not in str(caught.value)                                  # functions cannot be compared
     with pytest.raises(ValueError, match="number of cells: 6 in the checkpoint, 8 here"):
         fem.resume(checkpoint, problem(cells=(4, 2)))
     with pytest.raises(ValueError, match=r"positions of the nodes: up to 0\.1 apart"):

@@ -1,6 +1,6 @@
-"""The element kernels against UFL forms on the moved mesh, where both are exact: everywhere but with mean dilatation.
+"""The element kernels against UFL forms on the moved mesh, for all elements without mean dilatation (B-bar).
 
-On triangles and tetrahedra of degree 1 with their one point there is no difference between a cell's mean and its point's value.
+Triangles and tetrahedra of degree 1 are among them: they have one integration point, whose value is the cell's mean.
 """
 
 import basix
@@ -28,13 +28,13 @@ class Oracle:
         self.degree = 2 * degree if cell in ("quadrilateral", "hexahedron") else max(1, 2 * degree - 2)
         F = np.eye(d) + 0.3 * rng.uniform(-1, 1, (d, d))
         moved = self.problem.positions @ F.T
-        if degree == 1:                                       # any cells, not only affine ones
+        if degree == 1:                                       # any deformation, not only an affine one
             moved += rng.uniform(-0.05, 0.05, moved.shape)
         x = self.mesh.geometry.x
         x[:, :d] = moved[cKDTree(self.problem.positions).query(x[:, :d])[1]]
         self.x = moved[self.problem.body.cell_nodes]
         self.body = self.problem.body
-        self.rows, self.columns = (slice(4), [0, 1, 3, 6]) if d == 2 else (slice(6), slice(9))     # of a tangent that there are
+        self.rows, self.columns = (slice(4), [0, 1, 3, 6]) if d == 2 else (slice(6), slice(9))     # of the full tangent
         _, self.volumes, status = self.body.kinematics(self.x, np.zeros_like(self.x))
         assert not status.any()
         self.stress = rng.uniform(-1, 1, (*self.volumes.shape, 6))
@@ -119,7 +119,7 @@ def test_stiffness_of_linear_elasticity_is_that_of_its_form(cell, degree, rng):
 def test_geometric_stiffness_is_that_of_the_moving_mesh(cell, degree, rng):
     oracle = Oracle(cell, degree, rng)
     by_u, by_v = ufl.grad(oracle.u), ufl.grad(oracle.v)
-    form = ufl.inner(oracle.sigma(oracle.stress), ufl.tr(by_u) * by_v - by_v * by_u)          # of volume and grad v
+    form = ufl.inner(oracle.sigma(oracle.stress), ufl.tr(by_u) * by_v - by_v * by_u)          # derivatives of dV and of grad v
     found = oracle.stiffness(oracle.stress, np.zeros((*oracle.volumes.shape, 6, 9)))
     assert difference(found, oracle.assembled(form * oracle.dx)) < 1e-13
 

@@ -1,4 +1,4 @@
-"""What runs leave on disk says what happened."""
+"""Fields, tables and pictures on disk agree with the problem that wrote them."""
 
 import xml.etree.ElementTree as ElementTree
 

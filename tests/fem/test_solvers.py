@@ -42,12 +42,12 @@ def test_the_iterative_solver_gives_the_answer_of_the_direct_one(size, monkeypat
     assert direct.system.solver.getPC().getType() == "lu"
     expected = solved(direct)
     monkeypatch.setattr(system, "DIRECT_FIRST_UP_TO", NEVER)
-    monkeypatch.setattr(system, "DIRECT_FALLBACK_UP_TO", NEVER)                       # no second solver to help
+    monkeypatch.setattr(system, "DIRECT_FALLBACK_UP_TO", NEVER)                       # no fallback
     iterative = block(size)
     assert abs(solved(iterative) - expected).max() < 1e-8 * abs(expected).max()
     solver = iterative.system.solver
     assert solver.getPC().getType() == "bjacobi" and solver.getIterationNumber() > 1
-    assert solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED             # what converges is the residual
+    assert solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED             # of the residual itself
 
 
 @pytest.mark.parametrize("kind", ["aij", "baij"])
@@ -106,7 +106,7 @@ def test_options_reach_the_solver_and_its_parts():
         solved(problem)
     solver = problem.system.solver
     assert solver.getType() == "fgmres" and solver.getTolerances()[0] == 1e-9
-    assert solver.getIterationNumber() == 1                                        # one block, factored: sub_pc_type has arrived
+    assert solver.getIterationNumber() == 1                                        # one block, with a full factor by sub_pc_type
 
 
 def test_a_wrong_value_is_an_error_and_a_wrong_name_a_warning():

@@ -16,7 +16,7 @@ def body(cell):
 
 
 def smooth(x, size, phase):
-    """A displacement field that turns and strains every cell differently."""
+    """A displacement field that rotates and strains every cell differently."""
     waves = np.array([[3.0, 2, 1], [1, 3, 2], [2, 1, 3]])[:x.shape[1], :x.shape[1]]
     return size * np.sin(x @ waves + phase + np.arange(x.shape[1]))
 
@@ -30,7 +30,7 @@ def test_stiffness_is_the_derivative_of_the_forces(cell, degree, rate_term):
         body(cell), material, material.isotropic(0.6, pressure=0.05), degree=degree, rate_term=rate_term,
         conditions=[fem.Displacement(lambda x: np.isclose(x[0], 0), axes=fem.polar((-0.5, 0.1)), components=[0]),
                     fem.Pressure(lambda x: np.isclose(x[0], 1), 0.3)])
-    problem.displacement = smooth(problem.positions, 0.02, 0.3)                # a mesh of uneven cells
+    problem.displacement = smooth(problem.positions, 0.02, 0.3)                # cells of different shapes
     first, _ = problem.evaluate(smooth(problem.positions, 2e-3, 0.0), 1.0)
     assert not first.failure
     problem.accept(first)

@@ -13,7 +13,8 @@ import numpy as np
 from ..checks import refuse
 from .cellwise import CellOrder, on_rank_0
 from .output import Output
-from .problem import Problem, Snapshot, Trial
+from .problem import Problem
+from .trial import Snapshot, Trial
 
 POSITION_TOLERANCE = 1e-12          # over the body's size: nodes within this are where they were
 

@@ -1,7 +1,7 @@
 """A quasi-static boundary-value problem: Newton's method for one increment at a time, which is accepted or not."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import dolfinx.mesh
@@ -19,12 +19,13 @@ from .errors import format_position
 from .loads import Loads
 from .numbering import Numbering
 from .system import System
+from .trial import Snapshot, Trial
 
 SHORTEST_STEP = 1 / 16              # fraction of Newton's correction at which the line search ends
 SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step must take off it, a shorter one in proportion
 PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
 DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
-STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress on the body's size squared
+STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
 UNJAMMED_STIFFNESS = 1e-6           # in k/d: added to the stiffness where -tr(stress) is below, or the matrix would be singular
 
 
@@ -47,69 +48,6 @@ class Tolerances:
     force: float = 1e-8
     correction: float = 1e-5
     iterations: int = 15
-
-
-def _no_values() -> np.ndarray:
-    return np.empty(0)
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """Where displacements of an increment lead. It changes nothing of the problem, which may accept it.
-
-    Attributes
-    ----------
-    t : float
-        Pseudo-time at the end of the increment.
-    duration : float
-        Of the increment, in pseudo-time.
-    u : array (nodes, d)
-        Displacements in the increment.
-    states : record array (points) of dtype STATE
-        This and the arrays below are empty if the displacements could not be evaluated.
-    gradients : array (points, 3, 3)
-        du_i/dx_j of the increment as the material takes it.
-    volumes : array (cells, points per cell)
-    stress : array (cells, points per cell, 6)
-        The material's and that of the rate term.
-    forces : array (cells, nodes per cell, d)
-        What the cells' nodes need from outside: internal forces less loads.
-    residual : float
-        Norm of the residual forces, relative to that of the internal forces.
-    residuals : tuple of float
-        Those of the Newton iterations that have led here, the first guess's first.
-    failure : str
-        Empty if the increment is solved, else why it is not.
-    """
-
-    t: float
-    duration: float
-    u: np.ndarray
-    states: np.ndarray = field(default_factory=_no_values)
-    gradients: np.ndarray = field(default_factory=_no_values)
-    volumes: np.ndarray = field(default_factory=_no_values)
-    stress: np.ndarray = field(default_factory=_no_values)
-    forces: np.ndarray = field(default_factory=_no_values)
-    residual: float = np.inf
-    residuals: tuple[float, ...] = ()
-    failure: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshot:
-    """What a problem has come to: everything that its continuation depends on besides what it was made of.
-
-    Attributes are those of Problem. Arrays are shared with the problem, which replaces them and does not write into them.
-    """
-
-    t: float
-    increments: int
-    next_increment: float | None
-    displacement: np.ndarray
-    states: np.ndarray
-    shear_strain: np.ndarray
-    volume_strain: np.ndarray
-    last: Trial | None
 
 
 class Problem:
