@@ -57,7 +57,7 @@ def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMEN
         found.append(attempt(*case))
         print(in_words(found[-1][0]), flush=True) if MPI.COMM_WORLD.rank == 0 else None
     rows = [row for row, _ in found]
-    moduli = {}                                                 # by closure, preferring e_r = 0.01, then a late end, then small increments
+    moduli = {}                     # by closure, preferring e_r = 0.01, then a late end, then small increments
     for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, pair[0]["reached"], -pair[0]["increment"])):
         moduli[row["closure"]] = path
     if out and MPI.COMM_WORLD.rank == 0:

@@ -159,12 +159,17 @@ def test_facet_tags_name_parts_of_the_boundary():
 
 def test_a_tangent_is_found_with_the_state_that_a_correction_follows(monkeypatch):
     """Not with the state that is expected to be the last one; if a correction follows nevertheless, it is found afterwards."""
-    calls, update = [], Material._update
+    calls = []
 
-    def counted(*arguments):
-        calls.append("state" if arguments[-1] is None else "both")
-        return update(*arguments)
-    monkeypatch.setattr(Material, "_update", counted)
+    def count(name, kind):
+        update = getattr(Material, name)
+
+        def counted(*arguments, **options):
+            calls.append(kind)
+            return update(*arguments, **options)
+        monkeypatch.setattr(Material, name, counted)
+    count("update", "state")
+    count("update_with_tangent", "both")
 
     def second_increment(tolerances):
         problem = block([fem.Displacement(top, lambda x, t: [0.003 * t**2, -0.002 * t]), fem.Pressure(right, PRESSURE)])
