@@ -200,6 +200,19 @@ def test_a_failed_increment_leaves_the_problem_as_it_was():
         problem.accept(trial)
 
 
+def test_a_snapshot_brings_a_problem_back_to_where_it_was():
+    problem = rotated_by_one_side()
+    fem.run(problem, 0.2, 0.1)
+    before = problem.snapshot()
+    found = []
+    for _ in range(2):
+        problem.restore(before)
+        fem.run(problem, 0.4, 0.1)
+        found.append((problem.t, problem.increments, problem.displacement, problem.states, problem.shear_strain))
+    for first, second in zip(*found):
+        assert np.array_equal(first, second)
+
+
 def test_an_increment_is_cut_until_it_can_be_solved_and_grows_again():
     problem, times = rotated_by_one_side(), []
     fem.run(problem, 1.0, 0.5, observers=[lambda p: times.append(p.t)])

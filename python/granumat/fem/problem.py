@@ -26,7 +26,7 @@ SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step 
 PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
 DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
 STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
-UNJAMMED_STIFFNESS = 1e-6           # in k/d: added to the stiffness where -tr(stress) is below, or the matrix would be singular
+UNJAMMED_STIFFNESS = 1e-6           # in k/d: where -tr(stress) is less, it is added to the tangent alone, against singular matrices
 
 
 @dataclass(frozen=True)
@@ -92,13 +92,16 @@ class Problem:
     last : Trial or None
         The increment accepted last.
     next_increment : float or None
-        The increment of pseudo-time that `run` tries next, as far as those before say; None before any.
+        Largest increment of pseudo-time that `run` tries next, from how easily those before were solved; None: no limit.
     mesh, space, comm, d, cells
         Those of the body.
     body : Body
+        Mesh, elements, parts of the boundary.
     numbering : Numbering
+        Which equation each displacement component belongs to.
     loads : Loads
     system : System
+        The linear equations; system.size is the number of unknowns of all ranks.
 
     Raises
     ------
@@ -252,7 +255,7 @@ class Problem:
                      with_tangent: bool) -> tuple[Trial, np.ndarray | None, float]:
         """The longest of the steps 1, 1/2, ... of a correction that decreases the residual, or the best of them.
 
-        A step that can be evaluated suffices while prescribed displacements change: the residual before was that of others.
+        While prescribed displacements change, any step that can be evaluated will do: the residual before belongs to other ones.
 
         Returns
         -------
@@ -291,7 +294,7 @@ class Problem:
         Returns
         -------
         trial : Trial
-            Its failure says if the displacements cannot be evaluated on any rank; the same on all ranks.
+            With a failure, the same on all ranks, if the displacements cannot be evaluated on one of them.
         tangent : array (points, 6, 9), or (points, 4, 4) in plane strain, or None
             d stress / d (strain, spin) of the increment, without the rate term; for `stiffness`.
         """
