@@ -39,7 +39,18 @@ class Function:
 
 @dataclass(frozen=True)
 class Resting:
-    """An initial state at rest under gravity, whose surface only the mesh knows: see scene.resting."""
+    """An initial state at rest under gravity; its surface is the top of the mesh. Arguments of scene.resting.
+
+    Attributes
+    ----------
+    volume_fraction : float
+    weight : float
+        Of the solid per volume of the solid, in units of stress per length.
+    pressure : float
+        Vertical stress at the surface.
+    k0 : float
+        Horizontal over vertical stress.
+    """
 
     volume_fraction: float
     weight: float
@@ -49,24 +60,26 @@ class Resting:
 
 @dataclass(frozen=True)
 class SideConditions:
-    """What holds and loads one side.
+    """What holds and loads one side of the body.
 
     Attributes
     ----------
     on : str or int
         Name of the side, or of a gmsh file's facets, or their number there.
     displacement : dict of int to Function
-        By component; along polar axes on an annulus, as the platen's.
+        By component: x y z of a box, radial circumferential z of an annulus.
     rotation : Function or None
         Angle in radians.
     center : sequence of 2 floats
         Of the rotation.
     platen : int or None
-        The component that is the same on the whole side.
+        The displacement component that is the same on the whole side.
     pressure : Function or None
+        In units of stress.
     traction : dict of int to Function
+        By component, in units of stress.
     periodic : int or None
-        The axis along which the side's partner lies opposite.
+        The axis across the side, if it has the displacement of the opposite side.
     """
 
     on: str | int
@@ -80,7 +93,7 @@ class SideConditions:
 
     @property
     def is_held(self) -> bool:
-        """Whether there are reactions."""
+        """Whether displacements are prescribed or tied, so that there is a reaction."""
         return bool(self.displacement) or self.rotation is not None or self.platen is not None
 
     @property
@@ -92,7 +105,7 @@ class SideConditions:
 
 @dataclass(frozen=True)
 class RunControl:
-    """Arguments of control.run."""
+    """Arguments of control.run: end, largest increment and smallest one, in pseudo-time."""
 
     until: float
     increment: Function
@@ -101,7 +114,23 @@ class RunControl:
 
 @dataclass(frozen=True)
 class OutputRequest:
-    """What is to be written, and when; `checkpoint` has arguments of Checkpoint."""
+    """What is to be written.
+
+    Attributes
+    ----------
+    every : int or None
+        Increments from one record of fields and pictures to the next.
+    times : tuple of float
+        Pseudo-times of further records.
+    pictures : list of str
+        Fields to be drawn.
+    probes : dict of str to list of float
+        Positions of points at the start, by name.
+    center : list of float or None
+        Of the moments of reactions.
+    checkpoint : dict
+        Arguments of Checkpoint: every, seconds.
+    """
 
     every: int | None
     times: tuple[float, ...]
