@@ -1,0 +1,31 @@
+"""The site of the documentation: pages in Markdown, and a reference from the docstrings of the granumat that PYTHONPATH leads to."""
+
+import re
+
+import granumat
+
+project = "granumat"
+author = copyright = "The granumat developers"
+version = release = granumat.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_heading_anchors = 4                         # links to headings as hosting pages make them: page.md#a-heading
+html_theme = "furo"
+html_title = f"granumat {version}"
+html_copy_source = html_show_sphinx = False
+
+default_role = "code"                            # docstrings name things in single backquotes
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"                       # the docstrings say them, with shapes and units
+numpydoc_show_class_members = False              # autodoc lists them
+nitpicky = False
+
+
+def link_files(_app, _page, source):
+    """Links to Markdown files outside docs/ give the file, as those to all other files do, since it is no page of the site."""
+    source[0] = re.sub(r"\[([^][]+)\]\((\.\./[^()#]+\.md)\)", r"{download}`\1 <\2>`", source[0])
+
+
+def setup(app):
+    app.connect("source-read", link_files)
