@@ -3,7 +3,7 @@
 #
 # One sector of the annular shear cell, tied to itself, is turned and turned back with every closure, elastic strain e_r and
 # increment; what is recorded is how far the increment had to be cut, and where the load control gave up and why. The transverse
-# modulus eta_t (`granumat wellposed`) of the points says what to expect. `WHERE_IT_FAILS.md` reads the map.
+# modulus eta_t (`granumat wellposed`) of the points says what to expect. `docs/where-it-fails.md` reads the map.
 
 # %%
 from itertools import product
