@@ -5,7 +5,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.linalg import spsolve
 
 from granumat import Material
-from granumat.tensors import full
+from granumat.tensors import to_matrix
 
 CORNERS = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
 GAUSS = CORNERS / np.sqrt(3)
@@ -51,7 +51,7 @@ def block_reaction(problem, b_bar=False):
         """New states, forces that are not balanced, and their derivative."""
         strain = np.einsum("pij,ej->epi", B, change[dofs])
         strain[..., 3:] /= 2
-        new, C = material.update_with_tangent(states, full(strain))
+        new, C = material.update_with_tangent(states, to_matrix(strain))
         unbalanced = -force
         np.add.at(unbalanced, dofs, weight * np.einsum("pij,epi->ej", B, new.stress))
         K = weight * np.einsum("pki,epkl,plj->eij", B, C, B)

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from granumat import Material, _core
-from granumat.material import RANGES, status_message
-from granumat.tensors import full, trace
+from granumat import Material, core
+from granumat.core import status_message
+from granumat.material import RANGES
+from granumat.tensors import to_matrix, trace
 
 WILD = np.array([np.nan, np.inf, -np.inf, 0.0, -0.0, 5e-324, -5e-324, 1e-310, 1e-200, 1e-16, 1e16, 1e200, -1e200, 1.7e308, -1.7e308,
                  1.0, -1.0, 0.5, 2.0, 100.0])
@@ -24,14 +25,14 @@ def check(par, old, gradient):
     """One update through the core; returns its status."""
     new, status = np.full((1, 20), np.nan), np.full(1, -1, np.int32)
     kept = old.tobytes()
-    _core.core_update(1, par, old, gradient, new, status)
+    core.update(par, old, gradient, new, status, 1)
     assert old.tobytes() == kept
     if status[0]:
         assert new.tobytes() == kept
         assert status_message(status[0]) not in ("done", "unknown status", "")
     else:
         assert np.isfinite(new).all()
-        eigenvalues = np.linalg.eigvalsh(full(new[0, 6:12]) + np.eye(3) / 3)
+        eigenvalues = np.linalg.eigvalsh(to_matrix(new[0, 6:12]) + np.eye(3) / 3)
         assert eigenvalues[0] > -1e-10 and eigenvalues[-1] < 1 + 1e-10
         assert 0 < new[0, 19] < 1
     return status[0]
@@ -41,10 +42,10 @@ def test_100_000_random_property_sets_states_and_increments(rng):
     steady = np.array([Material(0.5).steady(0.6)]).view(float).reshape(1, 20)
     seen = np.zeros(20, int)
     for _ in range(100_000):
-        par = _core.core_parameters(rng.random(), *(int(k) for k in rng.integers(0, (5, 2, 3))))
+        par = core.parameters_from_friction(rng.random(), *(int(k) for k in rng.integers(0, (5, 2, 3))))
         level = rng.choice([0.0, 0.03, 0.2])
         par[:20] = spoiled(rng, par[:20], level)
-        _, valid = _core.core_complete(par)
+        _, valid = core.complete_parameters(par)
         old = spoiled(rng, steady, level)
         gradient = spoiled(rng, rng.normal(size=(1, 3, 3)) * 10.0 ** rng.uniform(-6, 0), rng.choice([0.0, 0.05, 0.3]))
         status = check(par, old, gradient)

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 import reference
-from granumat import STATE, Material, chart, rates, tensors
+from granumat import STATE, Material, tensors
 from granumat.cli import main
+from granumat.studies import chart, rate_form
 
 
 @pytest.fixture(scope="module")
@@ -33,33 +34,33 @@ def test_rates_agree_with_the_tests_own_equations(rng, elastic_strain):
     c = reference.constants(0.5) | {"elastic_strain": elastic_strain}
     a, z, ph, p, dev = reference.integrate(c, fabric, z2, phi, gradient, deviator)
     states = np.zeros(20, STATE)
-    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.six(fabric), z2, phi
-    states["stress"] = -tensors.six(deviator)
+    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.to_voigt(fabric), z2, phi
+    states["stress"] = -tensors.to_voigt(deviator)
     material = Material(0.5, elastic_strain=elastic_strain)
-    found, = rates.reference(material, rates.unknowns(material, states), rates.components_first(gradient[None]))
-    sigma = -tensors.six(dev + reference.scale(p, np.eye(3)))
-    np.testing.assert_allclose(found, [*tensors.six(a).T, z, ph, *sigma.T], rtol=1e-11, atol=1e-12)
+    found, = rate_form.reference(material, rate_form.unknowns(material, states), rate_form.components_first(gradient[None]))
+    sigma = -tensors.to_voigt(dev + reference.scale(p, np.eye(3)))
+    np.testing.assert_allclose(found, [*tensors.to_voigt(a).T, z, ph, *sigma.T], rtol=1e-11, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["quarter-turn", "through-phic", "unjamming"])
 def test_half_the_steps_of_the_reference_change_it_by_less_than_1e_12(name):
-    scene = chart.SCENES[name](16)
-    material = Material(**scene.definition)
-    y, gradients = rates.unknowns(material, scene.states), rates.components_first(scene.gradients)
-    exact = rates.reference(material, y, gradients)
-    halved = rates.reference(material, y, gradients, rates.REFERENCE_MAX_STEP / 2)
+    case = chart.CASES[name](16)
+    material = Material(**case.definition)
+    y, gradients = rate_form.unknowns(material, case.states), rate_form.components_first(case.gradients)
+    exact = rate_form.reference(material, y, gradients)
+    halved = rate_form.reference(material, y, gradients, rate_form.REFERENCE_MAX_STEP / 2)
     assert max(chart.errors(halved, exact, material["kappa"])) < 1e-12
 
 
-def test_every_method_runs_in_a_scene(reversal):
+def test_every_method_runs_in_a_case(reversal):
     assert {row.method for row in reversal} == set(chart.STYLES)
     assert {row.status for row in reversal} == {"ok"}
     assert all(row.ns_per_update > 0 for row in reversal)
 
 
-@pytest.mark.parametrize("scene", ["reversal", "huge"])
-def test_exact_is_at_round_off(scene, request):
-    assert chart.exact_row(request.getfixturevalue(scene)).error < 1e-12
+@pytest.mark.parametrize("case", ["reversal", "huge"])
+def test_exact_is_at_round_off(case, request):
+    assert chart.exact_row(request.getfixturevalue(case)).error < 1e-12
 
 
 @pytest.mark.parametrize("method, order", [("forward-euler", 1), ("backward-euler", 1), ("midpoint", 2), ("rk4", 4),
@@ -81,9 +82,9 @@ def test_the_cores_rk4_and_numpys_err_alike(reversal):
         assert getattr(cut(reversal, "rk4")[1], name) == pytest.approx(getattr(cut(reversal, "NumPy RK4")[1], name), rel=1e-3)
 
 
-@pytest.mark.parametrize("scene", ["reversal", "huge"])
-def test_numpy_takes_pieces_until_it_errs_no_more_than_exact_or_1e_12(scene, request):
-    rows = request.getfixturevalue(scene)
+@pytest.mark.parametrize("case", ["reversal", "huge"])
+def test_numpy_takes_pieces_until_it_errs_no_more_than_exact_or_1e_12(case, request):
+    rows = request.getfixturevalue(case)
     *before, last = cut(rows, "NumPy RK4").values()
     assert last.error <= chart.finest(rows) < min(row.error for row in before)
     assert [row.pieces for row in before] == [2**k for k in range(len(before))]
@@ -112,13 +113,13 @@ def test_the_front_tells_what_beats_exact_in_both_from_what_is_only_faster():
         "behind": [EXACT, row("rk4", 101.0, 1e-14)], "coarse": [EXACT, row("midpoint", 50.0, 2e-3)],
         "quick": [EXACT, row("midpoint", 50.0, 5e-4)], "level": [EXACT, row("forward-euler", 99.0, 9e-14)]})
     both, faster = said.split("\n\n")
-    assert "in 1 of 4 scenes: level: forward-euler, 1 piece (99 ns, 9e-14; exact 100 ns, 1e-13)" in both and "quick" not in both
-    assert "in 2 of 4 scenes" in faster and "quick: midpoint" in faster and "level: forward-euler" in faster
+    assert "in 1 of 4 cases: level: forward-euler, 1 piece (99 ns, 9e-14; exact 100 ns, 1e-13)" in both and "quick" not in both
+    assert "in 2 of 4 cases" in faster and "quick: midpoint" in faster and "level: forward-euler" in faster
     assert not any(name in said for name in ("behind", "coarse"))
-    assert chart.front({"behind": [EXACT, row("rk4", 101.0, 1e-14)]}).count("in 0 of 1 scenes") == 2
+    assert chart.front({"behind": [EXACT, row("rk4", 101.0, 1e-14)]}).count("in 0 of 1 cases") == 2
 
 
-def test_ratios_at_equal_error_over_scenes():
+def test_ratios_at_equal_error_over_cases():
     numpy = [row("NumPy RK4", 1000.0, 1e-6), row("NumPy RK4", 500.0, 2e-6), row("NumPy RK4", 3000.0, 1e-12)]
     rough = row("exact", 50.0, 1e-10)
     said = chart.equal_error({"a": [EXACT, *numpy], "b": [rough, *numpy[:2]], "c": [rough, row("NumPy RK4", 2500.0, 9e-11)]})
@@ -133,7 +134,7 @@ def test_ratios_at_equal_error_over_scenes():
 def test_refused_runs_are_marked_and_drawn_on_the_edge(huge):
     refused = [row for row in huge if row.status.startswith("refused at")]
     assert refused and all(math.isinf(row.error) for row in refused)
-    crosses = [line for line in chart.scene_figure("huge", huge).axes[0].lines if line.get_marker() == "x"]
+    crosses = [line for line in chart.case_figure("huge", huge).axes[0].lines if line.get_marker() == "x"]
     assert sum(len(line.get_xdata()) for line in crosses) == sum(row.error > chart.WORST for row in huge)
     assert all((np.array(line.get_ydata()) == chart.WORST).all() for line in crosses)
 
@@ -159,16 +160,16 @@ def test_the_command_writes_csv_and_pictures_and_says_what_is_fastest(huge, tmp_
     assert "| huge | " in capsys.readouterr().out
 
 
-def test_unknown_scenes_are_refused_all_at_once(tmp_path, capsys):
+def test_unknown_cases_are_refused_all_at_once(tmp_path, capsys):
     assert main(["chart", "--out", str(tmp_path / "out"), "huge", "no", "nor"]) == 2
     said = capsys.readouterr().err
-    assert "scene 'no'" in said and "scene 'nor'" in said and not (tmp_path / "out").exists()
+    assert "case 'no'" in said and "case 'nor'" in said and not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", chart.SCENES)
-def test_every_scene_is_followed_by_exact_to_1e_10(name):
-    scene = chart.SCENES[name](4)
-    material = Material(**scene.definition)
-    exact = rates.reference(material, rates.unknowns(material, scene.states), rates.components_first(scene.gradients))
-    path, refused = chart.run_core(material, scene.states, scene.gradients, 1, np.zeros(scene.gradients.shape[:2], STATE))
+@pytest.mark.parametrize("name", chart.CASES)
+def test_every_case_is_followed_by_exact_to_1e_10(name):
+    case = chart.CASES[name](4)
+    material = Material(**case.definition)
+    exact = rate_form.reference(material, rate_form.unknowns(material, case.states), rate_form.components_first(case.gradients))
+    path, refused = chart.run_core(material, case.states, case.gradients, 1, np.zeros(case.gradients.shape[:2], STATE))
     assert refused == "" and max(chart.errors(chart.as_results(path), exact, material["kappa"])) < 1e-10

@@ -61,7 +61,7 @@ def constant_pressure_reference(material, state, gamma):
         dot_a, dot_z, _ = rates(high)
         return np.concatenate([dot_a.ravel(), [dot_z, -phi * high]])
 
-    start = np.concatenate([tensors.full(state.fabric).ravel(), [state.coordination_number, state.volume_fraction]])
+    start = np.concatenate([tensors.to_matrix(state.fabric).ravel(), [state.coordination_number, state.volume_fraction]])
     y = solve_ivp(rate, (0, abs(gamma)), start, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
     return y[:9].reshape(3, 3), y[9], y[10]
 
@@ -72,7 +72,7 @@ def test_constant_pressure_follows_the_differential_equation_and_the_tolerance(m
     found = []
     for tolerance in (1e-5, 1e-6, 1e-7, 1e-8):
         end = driver.run(material, state, [driver.shear(-0.4, "pressure", 4)], tolerance=tolerance).states[-1]
-        found.append(max(np.abs(tensors.full(end["fabric"]) - fabric).max() / material["kappa"],
+        found.append(max(np.abs(tensors.to_matrix(end["fabric"]) - fabric).max() / material["kappa"],
                          abs(end["coordination_number"] - z2), abs(end["volume_fraction"] - phi)))
         assert found[-1] < 30 * tolerance                            # errors of all inner steps together
     assert found[-1] < found[0] / 100

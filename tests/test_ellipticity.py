@@ -8,7 +8,7 @@ from test_invariants import random_rotations, rotated
 
 CLOSURES = ("critical", "basic", "n2", "full", "kinematic")
 QUADRATIC = {"friction": "quadratic", "b1": 0.12, "b2": -2.0, "b3": 15.0}
-MODES = np.array([tensors.six(np.eye(3)[:, [i]] * np.eye(3)[j] + np.eye(3)[:, [j]] * np.eye(3)[i]) / 2
+MODES = np.array([tensors.to_voigt(np.eye(3)[:, [i]] * np.eye(3)[j] + np.eye(3)[:, [j]] * np.eye(3)[i]) / 2
                   for i, j in zip(tensors.ROWS, tensors.COLUMNS)])           # unit engineering strains
 
 
@@ -33,7 +33,7 @@ def directions(rng, n, volume):
 
 
 def unit(x):
-    return x / tensors.modulus(x)[..., None]
+    return x / tensors.magnitude(x)[..., None]
 
 
 def pressure(material, states):
@@ -55,7 +55,7 @@ def acoustic_tensor(material, states, normals):
     if material["elastic_strain"] == 0:
         basis = np.linalg.svd(normals[:, None, :])[2][:, 1:]
         return basis @ q @ np.swapaxes(basis, 1, 2)
-    dev = tensors.full(tensors.deviator(states["stress"]) / pressure(material, states)[:, None])
+    dev = tensors.to_matrix(tensors.deviator(states["stress"]) / pressure(material, states)[:, None])
     traction = np.einsum("nij,nj->ni", dev, normals)
     outer = traction[:, :, None] * normals[:, None, :]
     along = np.einsum("ni,ni->n", traction, normals)[:, None, None] * np.eye(3)
@@ -137,9 +137,9 @@ def test_response_with_elastic_strain_is_the_derivative_of_the_rate_that_updates
     states = random_states(rng, material, 20)
     p = pressure(material, states)[:, None]
     states["stress"] = tensors.deviator(states["stress"]) - p * tensors.IDENTITY
-    flow = tensors.full(states["direction"])
+    flow = tensors.to_matrix(states["direction"])
     found, step = material.response(states), 1e-2
-    for k, mode in enumerate(tensors.full(MODES)):
+    for k, mode in enumerate(tensors.to_matrix(MODES)):
         plus, minus = (stress_rate(material, states, flow + sign * step * mode, 1e-6) for sign in (1, -1))
         np.testing.assert_allclose(found[:, :, k], (plus - minus) / (2 * step * p), atol=3e-3 * np.abs(found).max())
     doubled = states["direction"] * [1, 1, 1, 2, 2, 2]
@@ -158,12 +158,12 @@ def test_acoustic_tensor_with_spin_is_the_traction_rate_that_updates_give(rng, c
     states["stress"] = tensors.deviator(states["stress"]) - p * tensors.IDENTITY
     n = rng.normal(size=(20, 3))
     n /= np.linalg.norm(n, axis=1)[:, None]
-    flow, step = tensors.full(states["direction"]), 1e-3
+    flow, step = tensors.to_matrix(states["direction"]), 1e-3
     q = acoustic_tensor(material, states, n)
     for k in range(3):
         change = np.eye(3)[k][:, None] * n[:, None, :]
         plus, minus = (stress_rate(material, states, flow + sign * step * change, 1e-6) for sign in (1, -1))
-        traction = np.einsum("nij,nj->ni", tensors.full((plus - minus) / (2 * step * p)), n)
+        traction = np.einsum("nij,nj->ni", tensors.to_matrix((plus - minus) / (2 * step * p)), n)
         np.testing.assert_allclose(q[:, :, k], traction, atol=1e-4 * np.abs(q).max())
 
 
@@ -199,12 +199,12 @@ def test_constant_friction_has_the_eigenvalue_of_the_largest_shear(rng, b1):
     material = Material(0.5, "basic", b1=b1, b2=0.0)
     states = random_states(rng, material, 100, volume=0.0)
     found = material.ellipticity(states)
-    principal = np.linalg.eigvalsh(tensors.full(states["direction"]))
+    principal = np.linalg.eigvalsh(tensors.to_matrix(states["direction"]))
     shear = (principal[:, 2] - principal[:, 0]) / 2
     np.testing.assert_allclose(found.eta_t, b1, rtol=1e-14)
     if b1 > 0:
         np.testing.assert_allclose(found.eigenvalue, b1 / 2 * (1 - shear**2), atol=1e-12)
-        along = np.einsum("ni,nij,nj->n", found.normal, tensors.full(states["direction"]), found.normal)
+        along = np.einsum("ni,nij,nj->n", found.normal, tensors.to_matrix(states["direction"]), found.normal)
         np.testing.assert_allclose(along, (principal[:, 2] + principal[:, 0]) / 2, atol=1e-5)
     else:
         np.testing.assert_allclose(found.eigenvalue, b1 / 2, rtol=1e-12)

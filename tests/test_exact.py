@@ -30,13 +30,13 @@ def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0
 
         material = Material(mu, closure, contact, elastic_strain=elastic_strain)
         old = np.zeros(m, STATE)
-        old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.six(fabric), z2, phi
-        old["stress"] = -tensors.six(deviator)
+        old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.to_voigt(fabric), z2, phi
+        old["stress"] = -tensors.to_voigt(deviator)
         new = material.update(old, gradient)
-        sigma = tensors.six(dev + reference.scale(p, np.eye(3)))
+        sigma = tensors.to_voigt(dev + reference.scale(p, np.eye(3)))
         jammed = p > 1e-3 * material["a1"]
         worst = np.maximum(worst, [
-            np.abs(new.fabric - tensors.six(a)).max() / material["kappa"],
+            np.abs(new.fabric - tensors.to_voigt(a)).max() / material["kappa"],
             np.abs(new.coordination_number / z - 1).max(),
             np.abs(new.volume_fraction / ph - 1).max(),
             (np.abs(new.stress + sigma).max(1)[jammed] / np.abs(sigma).max(1)[jammed]).max(),
@@ -89,9 +89,9 @@ def test_quadratic_friction_and_isotropic_term_follow_the_reference():
     fabric, z2, phi, gradient = reference.random_increments(rng, 100, 0.5, 0.05)
     _, _, _, p, dev = reference.integrate(c, fabric, z2, phi, gradient)
     old = np.zeros(100, STATE)
-    old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.six(fabric), z2, phi
+    old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.to_voigt(fabric), z2, phi
     new = Material(0.5, friction="quadratic", b1=0.2, b2=-2.0, b3=3.0, g=1e-3).update(old, gradient)
-    np.testing.assert_allclose(-new.stress, tensors.six(dev + reference.scale(p, np.eye(3))), atol=1e-14)
+    np.testing.assert_allclose(-new.stress, tensors.to_voigt(dev + reference.scale(p, np.eye(3))), atol=1e-14)
 
 
 def test_a_stress_that_does_not_relax_turns_with_the_spin():
@@ -106,10 +106,10 @@ def test_a_stress_that_does_not_relax_turns_with_the_spin():
     stress = rng.normal(size=(100, 3, 3))
     stress = stress + np.swapaxes(stress, 1, 2)
     stress -= np.trace(stress, axis1=1, axis2=2)[:, None, None] * np.eye(3) / 3
-    old["stress"] = tensors.six(stress)
+    old["stress"] = tensors.to_voigt(stress)
     turn = np.array([expm(w) for w in spin])
     new = material.update(old, spin + 1e-16 * np.diag([1, -1, 0]))
-    np.testing.assert_allclose(new.stress, tensors.six(turn @ stress @ np.swapaxes(turn, 1, 2)), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(new.stress, tensors.to_voigt(turn @ stress @ np.swapaxes(turn, 1, 2)), rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("shear", [1e-3, 0.02, 0.1])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from granumat import Material, figures
+from granumat import Material
+from granumat.studies import figures
 from reference import constants
 
 

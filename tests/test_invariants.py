@@ -10,7 +10,7 @@ from reference import random_increments
 def random_states(rng, material, n, shear, **sampling):
     fabric, z2, phi, gradient = random_increments(rng, n, material["mu"], shear, **sampling)
     states = np.zeros(n, STATE)
-    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.six(fabric), z2, phi
+    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.to_voigt(fabric), z2, phi
     states["stress"] = -1e-3 * tensors.IDENTITY + 0.01 * states["fabric"]
     return states, gradient
 
@@ -24,7 +24,7 @@ def random_rotations(rng, n):
 def rotated(q, states):
     new = states.copy()
     for name in ("stress", "fabric", "direction"):
-        new[name] = tensors.six(q @ tensors.full(states[name]) @ np.swapaxes(q, 1, 2))
+        new[name] = tensors.to_voigt(q @ tensors.to_matrix(states[name]) @ np.swapaxes(q, 1, 2))
     return new
 
 
@@ -41,7 +41,7 @@ def test_fabric_stays_traceless_and_below_kappa_from_an_isotropic_start(rng, mat
     for _ in range(200):
         _, gradient = random_states(rng, material, 200, 0.5, volume=0.0)
         states = material.update(states, gradient)
-        largest = max(largest, tensors.modulus(states.fabric).max())
+        largest = max(largest, tensors.magnitude(states.fabric).max())
         assert np.abs(tensors.trace(states.fabric)).max() < 1e-15
     assert 0.9 * material["kappa"] < largest <= material["kappa"] * (1 + 1e-14)
 

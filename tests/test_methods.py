@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import reference
-from granumat import STATE, Material, MaterialError, _core, driver, tensors
+from granumat import STATE, Material, MaterialError, core, driver, tensors
 from granumat.material import CLOSURES, CONTACTS, METHODS, SPINS
 from granumat.paths import read_path_file
 from test_bad_input import check, spoiled
@@ -22,7 +22,7 @@ def random_start(n, shear, seed=1, **sampling):
     """Random states of a material with mu 0.5 and increments for them."""
     fabric, z2, phi, gradient = reference.random_increments(np.random.default_rng(seed), n, 0.5, shear, **sampling)
     states = np.zeros(n, STATE)
-    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.six(fabric), z2, phi
+    states["fabric"], states["coordination_number"], states["volume_fraction"] = tensors.to_voigt(fabric), z2, phi
     states["stress"] = -0.1 * states["fabric"]
     return states, gradient
 
@@ -85,7 +85,7 @@ def test_rotating_first_errs_by_5_percent_at_shear_increments_of_an_eighth():
     state = turned_first = material.steady(0.6)
     for _ in range(16):
         state, turned_first = material.update(state, SHEAR / 8), before.update(turned_first, SHEAR / 8)
-    assert tensors.modulus(turned_first.fabric - state.fabric) / tensors.modulus(state.fabric) == pytest.approx(5e-2, rel=0.15)
+    assert tensors.magnitude(turned_first.fabric - state.fabric) / tensors.magnitude(state.fabric) == pytest.approx(5e-2, rel=0.15)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -137,7 +137,7 @@ def test_what_blows_up_without_spin_is_never_returned(rng, method):
     n = 2000
     states, gradient = random_states(rng, Material(0.5), n, 1.0)
     gradient = (gradient + np.swapaxes(gradient, 1, 2)) / 2
-    states["fabric"] *= (rng.uniform(0.055, 0.15, n) / tensors.modulus(states["fabric"]))[:, None]
+    states["fabric"] *= (rng.uniform(0.055, 0.15, n) / tensors.magnitude(states["fabric"]))[:, None]
     with pytest.raises(MaterialError) as caught:
         Material(0.5).update(states, gradient)
     gone = caught.value.status == 6
@@ -156,7 +156,7 @@ def test_no_method_returns_a_fabric_that_can_blow_up(rng, method):
         new = material.update(states, 10.0 ** rng.uniform(-2, 1, (2000, 1, 1)) * gradient)
     except MaterialError as failure:
         new = failure.states
-    assert tensors.modulus(new.fabric).max() < material["fabric_limit"]
+    assert tensors.magnitude(new.fabric).max() < material["fabric_limit"]
 
 
 @pytest.mark.parametrize("spin", range(2))
@@ -165,11 +165,11 @@ def test_2000_random_property_sets_states_and_increments_never_give_nan(rng, met
     steady = np.array([Material(0.5).steady(0.6)]).view(float).reshape(1, 20)
     done = 0
     for _ in range(2000):
-        par = _core.core_parameters(rng.random(), *(int(k) for k in rng.integers(0, (len(CLOSURES), len(CONTACTS), 3))))
-        _core.core_method(par, method, spin, 10.0 ** rng.uniform(-8, -0.01))
+        par = core.parameters_from_friction(rng.random(), *(int(k) for k in rng.integers(0, (len(CLOSURES), len(CONTACTS), 3))))
+        core.set_method(par, method, spin, 10.0 ** rng.uniform(-8, -0.01))
         level = rng.choice([0.0, 0.03, 0.2])
         par[:20] = spoiled(rng, par[:20], level)
-        _core.core_complete(par)
+        core.complete_parameters(par)
         gradient = spoiled(rng, rng.normal(size=(1, 3, 3)) * 10.0 ** rng.uniform(-6, 0), rng.choice([0.0, 0.05, 0.3]))
         done += check(par, spoiled(rng, steady, level), gradient) == 0
     assert done > 200
@@ -182,7 +182,7 @@ def test_unknown_methods_are_refused_by_name_all_at_once_and_by_the_core():
         assert words in str(caught.value)
     for wrong in ((6, 0, 1e-6), (-1, 0, 1e-6), (0, 2, 1e-6), (0, 0, np.nan), (0, 0, 1.0)):
         par = np.array(Material()._par)
-        _core.core_method(par, *wrong)
+        core.set_method(par, *wrong)
         assert check(par, np.array([Material().steady(0.6)]).view(float).reshape(1, 20), 0.01 * SHEAR[None]) == 2
 
 

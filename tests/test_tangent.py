@@ -34,11 +34,11 @@ def differences(material, states, gradient, steps):
 
 def check(material, states, gradient, share, tolerance):
     """Largest error of a point's tangent over its largest entry, by strain and by spin; steps a share of |D|."""
-    strain = tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2)
-    expected = differences(material, states, gradient, share * tensors.modulus(strain))
+    strain = tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2)
+    expected = differences(material, states, gradient, share * tensors.magnitude(strain))
     new, tangent = material.update_with_tangent(states, gradient, spin=True)
     assert (new == material.update(states, gradient)).all()
-    smooth = tensors.modulus(new.fabric) > 2e-3                       # the differences may not reach across the kink at A = 0
+    smooth = tensors.magnitude(new.fabric) > 2e-3                       # the differences may not reach across the kink at A = 0
     assert smooth.mean() > 0.95
     for part in (slice(0, 6), slice(6, 9)):
         size = np.maximum(np.abs(expected[:, :, part]).max((1, 2)), 0.1 * np.abs(new.stress).max(1))
@@ -51,7 +51,7 @@ def check(material, states, gradient, share, tolerance):
 def test_tangent_equals_8th_order_differences(rng, closure, contact):
     material = Material(0.5, closure, contact)
     states, gradient = random_states(rng, material, 1000, 0.02, excess=(0.5, 1.2))
-    size = tensors.modulus(tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2))
+    size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
     check(material, states[size > 1e-3], gradient[size > 1e-3], 0.01, 1e-8)
 
 
@@ -59,7 +59,7 @@ def test_tangent_equals_8th_order_differences(rng, closure, contact):
 def test_tangent_of_large_increments_in_inner_steps(rng, mu):
     material = Material(mu)
     states, gradient = random_states(rng, material, 300, 0.5, volume=0.1, excess=(1.0, 1.5))
-    size = tensors.modulus(tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2))
+    size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
     check(material, states[size > 1e-2], gradient[size > 1e-2], 1e-3, 1e-8)
 
 
@@ -67,8 +67,8 @@ def test_tangent_of_large_increments_in_inner_steps(rng, mu):
 def test_tangent_with_an_elastic_strain(rng, closure):
     material = Material(0.5, closure, elastic_strain=0.01)
     states, gradient = random_states(rng, material, 500, 0.02, excess=(0.8, 1.2))
-    size = tensors.modulus(tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2))
-    good = (size > 1e-3) & (tensors.modulus(states["fabric"]) > 0.02)          # away from the kink at A = 0
+    size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
+    good = (size > 1e-3) & (tensors.magnitude(states["fabric"]) > 0.02)          # away from the kink at A = 0
     check(material, states[good], gradient[good], 0.01, 1e-8)
 
 
@@ -76,8 +76,8 @@ def test_tangent_with_an_elastic_strain(rng, closure):
 def test_tangent_with_quadratic_friction_and_the_isotropic_term(rng, elastic_strain):
     material = Material(0.5, friction="quadratic", b1=0.1, b2=-3.0, b3=-8.0, g=1e-3, elastic_strain=elastic_strain)
     states, gradient = random_states(rng, material, 300, 0.01, excess=(0.8, 1.2))
-    size = tensors.modulus(tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2))
-    good = (size > 5e-4) & (tensors.modulus(states["fabric"]) > 0.02)          # away from the kink at A = 0; one inner step
+    size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
+    good = (size > 5e-4) & (tensors.magnitude(states["fabric"]) > 0.02)          # away from the kink at A = 0; one inner step
     check(material, states[good], gradient[good], 0.03, 1e-8)
 
 
@@ -88,9 +88,9 @@ def test_tangent_is_objective(rng, material):
     _, turned = material.update_with_tangent(rotated(q, states), q @ gradient @ np.swapaxes(q, 1, 2))
     strain = np.zeros((100, 6))
     strain[:] = rng.normal(size=6)
-    full = tensors.full(strain * [1, 1, 1, 0.5, 0.5, 0.5])
-    turned_strain = tensors.six(q @ full @ np.swapaxes(q, 1, 2)) * [1, 1, 1, 2, 2, 2]
-    change = tensors.six(q @ tensors.full(np.einsum("nij,nj->ni", tangent, strain)) @ np.swapaxes(q, 1, 2))
+    full = tensors.to_matrix(strain * [1, 1, 1, 0.5, 0.5, 0.5])
+    turned_strain = tensors.to_voigt(q @ full @ np.swapaxes(q, 1, 2)) * [1, 1, 1, 2, 2, 2]
+    change = tensors.to_voigt(q @ tensors.to_matrix(np.einsum("nij,nj->ni", tangent, strain)) @ np.swapaxes(q, 1, 2))
     np.testing.assert_allclose(np.einsum("nij,nj->ni", turned, turned_strain), change,
                                rtol=0, atol=1e-11 * np.abs(tangent).max())
 
@@ -101,7 +101,7 @@ def test_tangent_at_zero_strain_is_finite_and_that_of_a_small_strain_in_the_last
     state = np.array([material.steady(0.60)])
     new, tangent = material.update_with_tangent(state, np.zeros((1, 3, 3)))
     assert new.tobytes() == state.tobytes()
-    small = 1e-4 * tensors.full(state["direction"])
+    small = 1e-4 * tensors.to_matrix(state["direction"])
     np.testing.assert_allclose(tangent, material.update_with_tangent(state, small)[1], rtol=1e-10, atol=1e-12)
     fresh = np.array([material.isotropic(0.60, pressure=0.01)])
     new, tangent = material.update_with_tangent(fresh, np.zeros((1, 3, 3)))

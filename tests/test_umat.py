@@ -196,20 +196,20 @@ def test_tangent_for_calculix_is_the_derivative_of_its_stress_by_its_strain(rng)
         u = sqrtm(2 * strain + EYE).real
         result = call(np.zeros(6), statev, props=props, dstran=np.full(6, np.nan), dfgrd0=start, dfgrd1=r @ u)
         assert result.status == 0
-        return np.linalg.det(u) * np.linalg.inv(u) @ tensors.full(result.stress) @ np.linalg.inv(u), result.ddsdde
+        return np.linalg.det(u) * np.linalg.inv(u) @ tensors.to_matrix(result.stress) @ np.linalg.inv(u), result.ddsdde
 
     back, ddsdde = np.linalg.inv(end), second_piola_kirchhoff(lagrange)[1]
     for unit in unit_gradients():
         dE = 1e-7 * (unit + unit.T) / 2
         expected = (second_piola_kirchhoff(lagrange + dE)[0] - second_piola_kirchhoff(lagrange - dE)[0]) / 2
-        taken = back @ tensors.full(ddsdde @ engineering(back @ dE @ back)) @ back
+        taken = back @ tensors.to_matrix(ddsdde @ engineering(back @ dE @ back)) @ back
         np.testing.assert_allclose(taken, expected, rtol=0, atol=1e-3 * 1e-7 * np.abs(ddsdde).max())
 
 
 # ---- frames ----------------------------------------------------------------------------------------------------------
 
 def turn(q, components):
-    return tensors.six(q @ tensors.full(components) @ q.T)
+    return tensors.to_voigt(q @ tensors.to_matrix(components) @ q.T)
 
 
 class Abaqus:
@@ -307,9 +307,9 @@ def test_large_simple_shear_in_increments_of_an_eighth_is_exact(host, spin, elas
     fabric, z2, phi, p, deviator = reference.integrate(
         reference.constants(0.5) | {"elastic_strain": elastic_strain}, np.zeros((1, 3, 3)), start.coordination_number, 0.60,
         increments * gradient[None], np.zeros((1, 3, 3)))
-    np.testing.assert_allclose(tensors.full(point.statev[FABRIC]), fabric[0], rtol=0, atol=1e-10 * material["kappa"])
+    np.testing.assert_allclose(tensors.to_matrix(point.statev[FABRIC]), fabric[0], rtol=0, atol=1e-10 * material["kappa"])
     np.testing.assert_allclose(point.statev[[Z2, PHI]], [z2[0], phi[0]], rtol=1e-10)
-    np.testing.assert_allclose(tensors.full(point.true_stress()), -p[0] * EYE - deviator[0], rtol=0, atol=1e-10 * p[0])
+    np.testing.assert_allclose(tensors.to_matrix(point.true_stress()), -p[0] * EYE - deviator[0], rtol=0, atol=1e-10 * p[0])
 
 
 def test_rotating_first_or_not_at_all_is_wrong_in_large_simple_shear():

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from granumat import Material
-from granumat.material import status_message
+from granumat.core import status_message
 from umat_host import EYE, FABRIC, LIBRARY, N_STATEV, ORDER, PHI, STATUS, WORK, Guarded, call, engineering, properties, statev_of
 
 UNIT = 1.0e6

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from granumat import Material
-from granumat.material import STATE
+from granumat import STATE
 from umat_host import BUILD
 
 ROOT = Path(__file__).parents[1]

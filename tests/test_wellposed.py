@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from granumat import wellposed
+from granumat.studies import wellposed
 from granumat.cli import main
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from . import __version__, driver
 from .errors import GranumatError
 from .paths import read_path_file
-from .scenes import SCENES
+from .studies.cases import CASES
 
 PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to have it too
 SAID_ON_SCREEN = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
@@ -40,7 +40,7 @@ def main(arguments=None):
     command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives").add_argument(
-        "names", nargs="*", metavar="SCENE", help=f"from {', '.join(SCENES)}; all if none is given")
+        "names", nargs="*", metavar="CASE", help=f"from {', '.join(CASES)}; all if none is given")
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
     command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers").add_argument(
@@ -105,33 +105,33 @@ def _all_come_here(comm):
 
 
 def run_figures(options):
-    from .figures import draw_figures
+    from .studies.figures import draw_figures
     for path in draw_figures(options.out, options.names or None):
         print(f"wrote {path}")
 
 
 def run_stability(options):
-    from .stability import write_stability
+    from .studies.stability import write_stability
     for path in write_stability(options.out):
         print(f"wrote {path}")
 
 
 def run_chart(options):
-    from .chart import draw_chart, summary
+    from .studies.chart import draw_chart, summary
     print("\n" + summary(draw_chart(options.out, options.names)))
 
 
 def run_bench(options):
     if options.fem:
-        from .fem.bench import print_fem
+        from .studies.bench_fem import print_fem
         print_fem(options.fem)
     else:
-        from .bench import print_ratios
+        from .studies.bench import print_ratios
         print_ratios()
 
 
 def run_wellposed(options):
-    from .wellposed import losses_in_words, write_study
+    from .studies.wellposed import losses_in_words, write_study
     curves, paths = write_study(options.out)
     print(losses_in_words(curves))
     for path in paths:

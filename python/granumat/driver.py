@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from . import tensors
+from .checks import is_number, refuse
+from .core import STATE, status_message
 from .errors import ConstrainedDeformationWarning, PathError
-from .material import STATE, is_number, refuse, status_message
 
 TOLERANCE = 1e-6            # of fabric/kappa, Z2 and phi in an inner step where stresses are held
 TRACE_LIMIT = 0.5           # abs(tr D^) above which a deformation counts as constrained; the paper asks for << 1
@@ -103,7 +104,7 @@ class Step:
     @property
     def modes(self):
         """Free displacement gradients (m, 3, 3)."""
-        return np.array([tensors.full(linear_combination(text, STRAINS)) for text in self.free]).reshape(-1, 3, 3)
+        return np.array([tensors.to_matrix(linear_combination(text, STRAINS)) for text in self.free]).reshape(-1, 3, 3)
 
     @property
     def functionals(self):
@@ -266,7 +267,7 @@ def state_columns(material, states):
     p = tensors.trace(sigma) / 3
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(p > 0, -sigma[:, 4] / p, 0.0)
-        volume, size = tensors.trace(states["direction"]), tensors.modulus(tensors.deviator(states["direction"]))
+        volume, size = tensors.trace(states["direction"]), tensors.magnitude(tensors.deviator(states["direction"]))
         dilatancy = np.where(volume == 0, 0.0, volume / size)
     values = [states["volume_fraction"], p, ratio, states["coordination_number"], *states["fabric"].T, *sigma.T,
               material.evaluate(states)[1], dilatancy, material.transverse_modulus(states)]
@@ -395,8 +396,8 @@ def _run_step(recorder, number, step, tolerance, progress):
         states, amplitudes, status = material.follow(
             recorder.state, gradients[first:last], modes, functionals, targets[first:last + 1], tolerance)
         total = gradients[first:first + len(states)] + np.tensordot(amplitudes, modes, 1)
-        rate = tensors.six((total + np.swapaxes(total, 1, 2)) / 2)
-        gamma = total[:, 0, 2] if step.shear else 2 * tensors.modulus(rate)
+        rate = tensors.to_voigt((total + np.swapaxes(total, 1, 2)) / 2)
+        gamma = total[:, 0, 2] if step.shear else 2 * tensors.magnitude(rate)
         if len(states):
             recorder.append(number, states.view(np.ndarray), gamma)
         stopped = False
@@ -438,7 +439,7 @@ def _where(material, state):
     """The state in words, for an error message."""
     columns = state_columns(material, np.array(state, STATE).reshape(1))
     return ("state before it: " + ", ".join(f"{name} = {columns[name][0]:.6g}" for name in ("phi", "p", "stress_ratio", "Z2"))
-            + f", abs(A) = {tensors.modulus(state['fabric']):.4g}, Zc = {material['Zc']:.4g}")
+            + f", abs(A) = {tensors.magnitude(state['fabric']):.4g}, Zc = {material['Zc']:.4g}")
 
 
 class Progress:

@@ -1,11 +1,12 @@
-"""The material and the state of its points. The only file that knows the compiled core."""
+"""The material and the state of its points."""
 
-import difflib
 from typing import NamedTuple
 
 import numpy as np
 
-from . import _core, tensors
+from . import core, tensors
+from .checks import choose, is_number, refuse
+from .core import STATE, status_message
 from .errors import MaterialError
 
 CLOSURES = ("critical", "basic", "n2", "full", "kinematic")       # positions are the core's numbers
@@ -15,29 +16,13 @@ FRICTIONS = ("linear", "quadratic")
 METHODS = ("exact", "forward-euler", "midpoint", "rk4", "bogacki-shampine", "backward-euler")
 SPINS = ("inside", "before")
 
-STATE = np.dtype([
-    ("stress", "f8", 6), ("fabric", "f8", 6), ("direction", "f8", 6),
-    ("coordination_number", "f8"), ("volume_fraction", "f8"),
-])
-"""What a point remembers, 20 numbers. stress: Cauchy, tension positive, in k/d (k_Hz for Hertzian contacts); fabric: A (3.1);
-direction: D/abs(D) of the last strain, 0 before any. Six components are xx yy zz xy xz yz."""
-
 # What a closure does without.
 UNUSED = {
     "critical": ("a4", "d1", "d2", "d3"), "basic": ("a3", "a4"), "n2": ("a4",), "full": (), "kinematic": ("a4",),
 }
 
 
-def _ranges():
-    """name -> (lower, upper, closed) of every constant, from the core's table."""
-    ranges = {}
-    for i in range(1, 21):
-        name, lower, upper, closed = _core.core_range(i)
-        ranges[name.tobytes().decode().strip()] = (lower[0], upper[0], bool(closed[0]))
-    return ranges
-
-
-RANGES = _ranges()
+RANGES = core.constant_ranges()
 OPTIONS = ("closure", "contact", "friction", "calibration", "method", "spin", "method_tolerance")
 DERIVED = ("chi", "kappa", "lambda", "fabric_limit")
 
@@ -52,26 +37,6 @@ def describe_range(name):
     if upper < huge:
         words.append(f"{'at most' if closed else 'below'} {upper:g}")
     return " and ".join(words) or "any finite number"
-
-
-def choose(kind, name, allowed, faults):
-    """The position of a name among those allowed; what is wrong is appended to faults."""
-    if name in allowed:
-        return allowed.index(name)
-    near = difflib.get_close_matches(str(name), allowed, 1)
-    faults.append(f"{kind} {name!r}: must be one of {', '.join(allowed)}" + (f" (did you mean {near[0]!r}?)" if near else ""))
-    return 0
-
-
-def refuse(what, faults):
-    """Raises ValueError naming all faults, if there are any."""
-    if faults:
-        raise ValueError(f"{what}:\n  " + "\n  ".join(faults))
-
-
-def is_number(value):
-    """Whether a value is a real number (not a bool)."""
-    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 class Material:
@@ -134,20 +99,20 @@ class Material:
         values = {name: float(value) for name, value in given.items() if name in RANGES and is_number(value)}
 
         usable_mu = values.get("mu", 0.0) if np.isfinite(values.get("mu", 0.0)) else 0.0
-        par = _core.core_parameters(usable_mu, closure_number, contact_number, calibration_number)
+        par = core.parameters_from_friction(usable_mu, closure_number, contact_number, calibration_number)
         names = list(RANGES)
         for name, value in values.items():
             par[names.index(name)] = value
         if closure == "kinematic":
             par[names.index("a4")] = -2 * par[names.index("b2")]
-        faulty, valid = _core.core_complete(par)
+        faulty, valid = core.complete_parameters(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
         if not faulty.any() and not valid[0]:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
-        _core.core_method(par, method_number, spin_number, method_tolerance)
+        core.set_method(par, method_number, spin_number, method_tolerance)
         self._par = par
         self._par.flags.writeable = False
         self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
@@ -208,23 +173,23 @@ class Material:
             if value is not None:
                 state[name] = _components(name, value, faults)
         faults += self._fabric_faults(state["fabric"][0])
-        size = tensors.modulus(state["direction"][0])
+        size = tensors.magnitude(state["direction"][0])
         if not (size == 0 or abs(size - 1) < 1e-9):
             faults.append(f"direction: its modulus is {size:g}, must be 1, or 0 before any strain")
         refuse("the state is not admissible", faults)
         if stress is None:
-            _core.core_evaluate(self._par, _numbers(state))
+            core.evaluate(self._par, state)
         return state.view(np.recarray)[0]
 
     def _fabric_faults(self, fabric):
         faults = []
         if abs(tensors.trace(fabric)) > 1e-12:
             faults.append(f"fabric: its trace is {tensors.trace(fabric):g}, must be 0")
-        eigenvalues = np.linalg.eigvalsh(tensors.full(fabric)) + 1 / 3
+        eigenvalues = np.linalg.eigvalsh(tensors.to_matrix(fabric)) + 1 / 3
         if eigenvalues[0] < 0 or eigenvalues[-1] > 1:
             values = ", ".join(f"{value:.6g}" for value in eigenvalues)
             faults.append(f"fabric: eigenvalues of A + I/3 are {values}, must be in [0, 1]")
-        size, limit = tensors.modulus(fabric), self["fabric_limit"]
+        size, limit = tensors.magnitude(fabric), self["fabric_limit"]
         if size >= limit:
             faults.append(f"fabric: abs(A) = {size:.6g}, must be below {limit:.6g}, from where (4.7) can blow up")
         return faults
@@ -333,11 +298,11 @@ class Material:
         if np.may_share_memory(old, new):
             old = old.copy()                                     # the core may not read what it writes
         status = np.zeros(old.size, np.int32)
-        arguments = threads, self._par, _numbers(old), gradient.reshape(-1, 3, 3), _numbers(new.reshape(-1)), status
+        arguments = self._par, old, gradient.reshape(-1, 3, 3), new.reshape(-1), status
         if tangent is None:
-            _core.core_update(*arguments)
+            core.update(*arguments, threads)
         else:
-            _core.core_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]))
+            core.update_with_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]), threads)
         records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         if status.any():
             first = int(np.flatnonzero(status)[0])
@@ -352,7 +317,7 @@ class Material:
         Differs from the states' own stress where it is held or, with e_r > 0, relaxing.
         """
         states = np.array(states, STATE)
-        eta = _core.core_evaluate(self._par, _numbers(states.reshape(-1)))
+        eta = core.evaluate(self._par, states.reshape(-1))
         return states["stress"], eta.reshape(states.shape)
 
     # ---- well-posedness ----------------------------------------------------------------------------------------------
@@ -368,7 +333,7 @@ class Material:
         so, a3 apart, T:d sigma = eta_t p T:T. It does not depend on e_r, which divides the whole response.
         """
         states = np.ascontiguousarray(states, STATE)
-        return _core.core_transverse_modulus(self._par, _numbers(states.reshape(-1))).reshape(states.shape)
+        return core.transverse_modulus(self._par, states.reshape(-1)).reshape(states.shape)
 
     def response(self, states):
         """The response C (..., 6, 6) that `ellipticity` searches, in units of p: stress components by engineering strains.
@@ -383,7 +348,7 @@ class Material:
         NaN where there is none: before any strain, and for e_r > 0 where p = 0.
         """
         states = np.ascontiguousarray(states, STATE)
-        return _core.core_response(self._par, _numbers(states.reshape(-1))).reshape(states.shape + (6, 6))
+        return core.response(self._par, states.reshape(-1)).reshape(states.shape + (6, 6))
 
     def ellipticity(self, states, threads=1):
         """How far states are from the loss of ellipticity.
@@ -412,7 +377,7 @@ class Material:
         """
         _check_threads(threads)
         states = np.ascontiguousarray(states, STATE)
-        least, normal = _core.core_ellipticity(threads, self._par, _numbers(states.reshape(-1)))
+        least, normal = core.ellipticity(self._par, states.reshape(-1), threads)
         least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
         return Ellipticity(self.transverse_modulus(states), least[..., 0], normal[..., 0, :], least[..., 1], normal[..., 1, :])
 
@@ -440,14 +405,7 @@ class Material:
         status : int
             0, or why fewer than n increments were done.
         """
-        start = np.array(state, STATE).reshape(1)
-        m = len(modes)
-        rows = max(m, 1)                                          # the binding takes no empty arrays
-        states, amplitudes, done, status = _core.core_path(
-            m, self._par, _numbers(start)[0], gradients, np.resize(modes, (rows, 3, 3)), np.resize(functionals, (rows, 6)),
-            np.resize(targets, (len(gradients) + 1, rows)), tolerance)
-        done = int(done[0])
-        return states[:done].view(STATE)[:, 0].view(np.recarray), amplitudes[:done, :m], int(status[0])
+        return core.follow_path(self._par, np.array(state, STATE).reshape(1), gradients, modes, functionals, targets, tolerance)
 
 
 class Ellipticity(NamedTuple):
@@ -464,17 +422,6 @@ STEADY_DECAYS = 39.0    # exp(-39) is below round-off; Z2 decays by exp(-d2 s), 
 SLOWEST_DECAY = 1.0     # d2 below which steady states are not waited for any longer
 
 
-def arithmetic(rounds):
-    """Does 192 * rounds additions and multiplications in registers: the arithmetic limit that bench compares with."""
-    _core.core_arithmetic(rounds)
-    return 192 * rounds
-
-
-def status_message(status):
-    """The core's words for a status."""
-    return _core.core_message(int(status)).tobytes().decode().strip()
-
-
 def _check_threads(threads):
     if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
         raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
@@ -484,18 +431,13 @@ def _remake(given):
     return Material(**given)
 
 
-def _numbers(states):
-    """States (n,) as the core sees them, (n, 20), without a copy."""
-    return states.view(np.ndarray).view(float).reshape(-1, 20)
-
-
 def _components(name, value, faults):
     try:
         value = np.asarray(value, float)
     except (TypeError, ValueError):
         value = np.full(0, np.nan)
     if value.shape == (3, 3) and np.allclose(value, value.T, rtol=0, atol=1e-14):
-        value = tensors.six(value)
+        value = tensors.to_voigt(value)
     if value.shape != (6,):
         faults.append(f"{name}: must be 6 numbers xx yy zz xy xz yz or a symmetric 3 x 3 tensor")
     elif not np.isfinite(value).all():

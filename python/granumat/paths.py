@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from . import driver
-from .material import Material, is_number, refuse
+from .checks import is_number, refuse
+from .material import Material
 
 INITIAL = {
     "steady": ("phi",), "isotropic": ("phi", "pressure", "Z2"), "given": ("phi", "Z2", "fabric", "direction", "stress"),

@@ -7,7 +7,7 @@ ROWS, COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 IDENTITY = np.array([1.0, 1, 1, 0, 0, 0])
 
 
-def six(tensor):
+def to_voigt(tensor):
     """Components (..., 6) of symmetric tensors (..., 3, 3)."""
     return np.asarray(tensor)[..., ROWS, COLUMNS]
 
@@ -15,10 +15,10 @@ def six(tensor):
 def symmetric(tensor):
     """Components (..., 6) of the symmetric parts of tensors (..., 3, 3)."""
     tensor = np.asarray(tensor)
-    return six((tensor + np.swapaxes(tensor, -1, -2)) / 2)
+    return to_voigt((tensor + np.swapaxes(tensor, -1, -2)) / 2)
 
 
-def full(components):
+def to_matrix(components):
     """Symmetric tensors (..., 3, 3) of components (..., 6)."""
     components = np.asarray(components)
     tensor = np.empty(components.shape[:-1] + (3, 3), components.dtype)
@@ -43,6 +43,6 @@ def contract(x, y):
     return product[..., :3].sum(-1) + 2 * product[..., 3:].sum(-1)
 
 
-def modulus(components):
+def magnitude(components):
     """The paper's abs(T) = sqrt(T:T/2) (...) of components (..., 6)."""
     return np.sqrt(contract(components, components) / 2)

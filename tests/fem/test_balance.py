@@ -34,7 +34,7 @@ class Works:
         x = problem._at_cells(problem.positions + problem.displacement)
         u = problem._at_cells(trial.u)
         outside = trial.forces + problem._loads(trial.t) + problem._pressure_loads(x, trial.t)     # reactions and loads
-        strain = tensors.six((trial.gradients + trial.gradients.transpose(0, 2, 1)) / 2)
+        strain = tensors.to_voigt((trial.gradients + trial.gradients.transpose(0, 2, 1)) / 2)
         now = outside, trial.stress.reshape(-1, 6), trial.volumes.ravel()
         if self.before is not None:
             self.external += ((self.before[0] + outside) / 2 * u).sum()

@@ -12,7 +12,7 @@ from dolfinx import fem as forms
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
-from granumat import Material, _core, fem, tensors
+from granumat import Material, core, fem, tensors
 
 KINDS = [("triangle", 1), ("tetrahedron", 1), ("triangle", 2), ("quadrilateral", 2), ("tetrahedron", 2), ("hexahedron", 2)]
 
@@ -36,7 +36,7 @@ class Oracle:
         self.element = self.problem._element
         self.mean = self.problem._mean
         self.rows, self.columns = (slice(4), [0, 1, 3, 6]) if d == 2 else (slice(6), slice(9))     # of a tangent that there are
-        _, self.volumes, status = _core.core_element_gradients(
+        _, self.volumes, status = core.element_gradients(
             self.mean, self.element.gradients, self.element.weights, self.x, np.zeros_like(self.x))
         assert not status.any()
         self.stress = rng.uniform(-1, 1, (*self.volumes.shape, 6))
@@ -68,7 +68,7 @@ class Oracle:
 
     def forces(self, stress):
         """Nodal forces of a stress, by the kernels."""
-        cells = _core.core_element_forces(self.mean, self.element.gradients, self.x, self.volumes, stress)
+        cells = core.element_forces(self.mean, self.element.gradients, self.x, self.volumes, stress)
         total = np.zeros(self.problem.positions.size)
         np.add.at(total, self.dofs(), cells.reshape(len(cells), -1))
         return total
@@ -82,8 +82,8 @@ class Oracle:
         """The kernels' element matrices, summed over the cells."""
         dofs, size = self.dofs(), self.problem.positions.size
         matrices = np.empty((*dofs.shape, dofs.shape[1]))
-        _core.core_element_stiffness(self.mean, self.element.gradients, self.x, self.volumes,
-                                     np.zeros((*self.volumes.shape, 3, 3)), stress, tangent[..., self.rows, self.columns], matrices)
+        core.element_stiffness(self.mean, self.element.gradients, self.x, self.volumes,
+                               np.zeros((*self.volumes.shape, 3, 3)), stress, tangent[..., self.rows, self.columns], matrices)
         total = np.zeros((size, size))
         np.add.at(total, (dofs[:, :, None], dofs[:, None, :]), matrices)
         return total

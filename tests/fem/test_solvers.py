@@ -8,7 +8,8 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from granumat import Material, fem
-from granumat.fem import bench, system
+from granumat.fem import system
+from granumat.studies import bench_fem
 
 NEVER = {2: 0, 3: 0}
 
@@ -52,7 +53,7 @@ def test_the_iterative_solver_gives_the_answer_of_the_direct_one(size, monkeypat
 @pytest.mark.parametrize("kind", ["aij", "baij"])
 def test_the_matrix_is_the_sum_of_the_cells_matrices_and_1_where_there_is_no_unknown(kind):
     solver = {"mat_type": kind, "pc_type": "lu"}
-    for problem in (block((3, 3, 3), solver), bench.shear_cell(MPI.COMM_WORLD, 3, solver=solver)):
+    for problem in (block((3, 3, 3), solver), bench_fem.shear_cell(MPI.COMM_WORLD, 3, solver=solver)):
         equations = problem.system
         equations.matrices[:] = np.random.default_rng(0).normal(size=equations.matrices.shape)
         expected = np.zeros((equations.size, equations.size))
@@ -82,9 +83,10 @@ def test_two_ranks_iterate_to_the_answer_of_one(mpirun):
     script = """
 import numpy as np
 from mpi4py import MPI
-from granumat.fem import bench, system
+from granumat.fem import system
+from granumat.studies import bench_fem
 system.DIRECT_UP_TO = {3: 0}
-problem = bench.shear_cell(MPI.COMM_WORLD, 4)
+problem = bench_fem.shear_cell(MPI.COMM_WORLD, 4)
 for _ in range(2):
     trial = problem.solve_increment(1.0)
     assert not trial.failure and problem.system.solver.getConvergedReason() == 2
@@ -117,10 +119,10 @@ def test_a_wrong_value_is_an_error_and_a_wrong_name_a_warning():
 
 
 def test_the_bench_counts_all_time_and_no_part_is_negative():
-    found = bench.measure(3)
-    assert found["unknowns"] == 3 * 4**3 and found["newton"] >= bench.INCREMENTS
-    assert min(found[phase] for phase in bench.PHASES) > 0
-    assert abs(sum(found[phase] for phase in bench.PHASES) - found["iteration"]) < 1e-9
+    found = bench_fem.measure(3)
+    assert found["unknowns"] == 3 * 4**3 and found["newton"] >= bench_fem.INCREMENTS
+    assert min(found[phase] for phase in bench_fem.PHASES) > 0
+    assert abs(sum(found[phase] for phase in bench_fem.PHASES) - found["iteration"]) < 1e-9
 
 
 def test_problems_in_one_process_do_not_fill_the_options_of_petsc():

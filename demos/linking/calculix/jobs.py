@@ -198,7 +198,7 @@ def errors(job, output):
     states = job.states(output) if callable(job.states) else job.states
     stress = states.stress
     if job.frame is not None:
-        stress = tensors.six(job.frame @ tensors.full(stress) @ np.swapaxes(job.frame, 1, 2))
+        stress = tensors.to_voigt(job.frame @ tensors.to_matrix(stress) @ np.swapaxes(job.frame, 1, 2))
     found, statev = output.stress[job.every - 1::job.every] / UNIT, output.statev[job.every - 1::job.every]
     return {
         "stress": np.abs(found - stress[:, None]).max() / np.abs(stress).max(),

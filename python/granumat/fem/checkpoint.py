@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..material import refuse
+from ..checks import refuse
 from .cellwise import CellOrder, on_rank_0
 from .problem import Trial
 

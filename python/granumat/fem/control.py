@@ -5,7 +5,7 @@ import time
 import numpy as np
 
 from .. import tensors
-from ..material import refuse
+from ..checks import refuse
 from .errors import SolveError, in_words
 
 CUT = 0.5                          # of an increment that fails

@@ -3,7 +3,7 @@
 import dolfinx.mesh
 import numpy as np
 
-from ..material import refuse
+from ..checks import refuse
 from ._compat import mesh_of
 
 CELLS = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}

@@ -4,7 +4,7 @@ import numpy as np
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
-from ..material import refuse
+from ..checks import refuse
 from .conditions import Displacement, Periodic, Tied
 from .errors import in_words
 

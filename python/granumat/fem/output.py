@@ -45,21 +45,21 @@ def cell_fields(problem):
     change = np.zeros((problem.cells, 6))
     if problem.last is not None:
         change = mean(tensors.symmetric(problem.last.gradients))
-    distortion = tensors.modulus(tensors.deviator(change))
+    distortion = tensors.magnitude(tensors.deviator(change))
     dilatancy = np.divide(tensors.trace(change), distortion, out=np.zeros_like(distortion),
                           where=distortion > NEAR * abs(tensors.trace(change)))
-    direction = np.linalg.eigh(tensors.full(fabric))[1][..., -1]
+    direction = np.linalg.eigh(tensors.to_matrix(fabric))[1][..., -1]
     first = np.take_along_axis(direction, (abs(direction) > NEAR).argmax(axis=1)[:, None], axis=1)
-    direction = np.where(tensors.modulus(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
+    direction = np.where(tensors.magnitude(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
     return {"p": -tensors.trace(stress) / 3, "stress_ratio": stress_ratio(stress), "Z2": mean(states.coordination_number),
-            "phi": mean(states.volume_fraction), "A": tensors.modulus(fabric), "A_direction": direction,
+            "phi": mean(states.volume_fraction), "A": tensors.magnitude(fabric), "A_direction": direction,
             "shear_strain": mean(problem.shear_strain), "dilatancy": dilatancy,
             "eta_t": mean(problem.material.transverse_modulus(states))}
 
 
 def stress_ratio(stress):
     """abs(sigma')/p (...) of stresses (..., 6), tension positive; 0 where p is not positive."""
-    p, shear = -tensors.trace(stress) / 3, tensors.modulus(tensors.deviator(stress))
+    p, shear = -tensors.trace(stress) / 3, tensors.magnitude(tensors.deviator(stress))
     return np.divide(shear, p, out=np.zeros_like(p), where=p > 0)
 
 

@@ -7,9 +7,10 @@ import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
 
-from .. import _core, tensors
+from .. import core, tensors
+from ..checks import is_number, refuse
+from ..core import STATE, status_message
 from ..errors import MaterialError
-from ..material import STATE, is_number, refuse, status_message
 from ._compat import ReferenceCell, cell_nodes, vector_space
 from .conditions import Displacement, Periodic, Pressure, Tied, Traction
 from .errors import in_words
@@ -309,7 +310,7 @@ class Problem:
         self.displacement = self.displacement + trial.u
         self.states = trial.states
         strain = tensors.symmetric(trial.gradients)
-        self.shear_strain = self.shear_strain + 2 * tensors.modulus(tensors.deviator(strain))
+        self.shear_strain = self.shear_strain + 2 * tensors.magnitude(tensors.deviator(strain))
         self.volume_strain = self.volume_strain + tensors.trace(strain)
 
     def _guess(self, target, duration):
@@ -326,7 +327,7 @@ class Problem:
         return np.where(self._given, target - self._numbering.to_axes(trial.u), 0)
 
     def _kinematics(self, x, u):
-        return _core.core_element_gradients(self._mean, self._element.gradients, self._element.weights, x, u)
+        return core.element_gradients(self._mean, self._element.gradients, self._element.weights, x, u)
 
     def _evaluate(self, u, duration, with_tangent=False):
         """The trial of displacements u (nodes, d): states, forces, residual, the tangent if a correction is expected to need it
@@ -354,7 +355,7 @@ class Problem:
             trial.failure = failures[0]
             return trial
         trial.stress = self._stress(trial.states.stress, trial.gradients, duration).reshape(*trial.volumes.shape, 6)
-        inside = _core.core_element_forces(self._mean, self._element.gradients, x + du, trial.volumes, trial.stress)
+        inside = core.element_forces(self._mean, self._element.gradients, x + du, trial.volumes, trial.stress)
         trial.forces = inside - self._loads(trial.t) - self._pressure_loads(x + du, trial.t)
         scale = np.sqrt(self.comm.allreduce((inside**2).sum()))
         trial.residual = self.system.norm(self._forces_along_axes(trial.forces)) / max(scale, REST * self._size**(self.d - 1))
@@ -396,7 +397,7 @@ class Problem:
         x = self._at_cells(self.positions + self.displacement + trial.u)
         points = trial.volumes.shape
         stiffness = self.system.matrices
-        _core.core_element_stiffness(
+        core.element_stiffness(
             self._mean, self._element.gradients, x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
             self._tangent(trial, duration).reshape(*points, 2 * self.d, -1), stiffness)
         self._pressure_loads(x, trial.t, stiffness)

@@ -7,7 +7,9 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import tensors
-from ..material import STATE, Material, is_number, refuse
+from ..checks import is_number, refuse
+from ..core import STATE
+from ..material import Material
 from ..paths import INITIAL, attempt, read_initial, read_material, read_toml, table_of
 from . import meshes
 from ._compat import gmsh_mesh

@@ -1,20 +1,21 @@
-"""Scenes for `granumat chart`: batches of points under sequences of strain increments, chosen to hurt integration methods.
+"""Cases for `granumat chart`: batches of points under sequences of strain increments, chosen to hurt integration methods.
 
-Every function takes the number of points and returns a Scene; points differ in their start and in the size of their strain.
+Every function takes the number of points and returns a Case; points differ in their start and in the size of their strain.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from . import driver, tensors
-from .material import STATE, Material
+from .. import driver, tensors
+from ..core import STATE
+from ..material import Material
 
 SEED = 2011
 HISTORIES = 64              # of shear at constant pressure; more points repeat them
 
 
-class Scene(NamedTuple):
+class Case(NamedTuple):
     """What is integrated: from states (n,) through gradients (steps, n, 3, 3), with the arguments of the material."""
 
     title: str
@@ -55,14 +56,14 @@ def _reversed_shear(title, points, strains, phi=(0.59, 0.62), **definition):
     """Simple shear from the steady state of forward shear."""
     rng, sizes = _random(points)
     states = _steady(Material(**definition), rng.uniform(*phi, points))
-    return Scene(title, states, _shear(strains, sizes), definition)
+    return Case(title, states, _shear(strains, sizes), definition)
 
 
 def start_up(points):
     rng, sizes = _random(points)
     material = Material()
     states = _isotropic(material, rng.uniform(0.59, 0.62, points), material["Zc"] + rng.uniform(0.3, 1, points))
-    return Scene("steady shear from an isotropic start, increments of 0.02", states, _shear([0.02] * 25, sizes), {})
+    return Case("steady shear from an isotropic start, increments of 0.02", states, _shear([0.02] * 25, sizes), {})
 
 
 def reversal(points):
@@ -87,7 +88,7 @@ def cycles_pressure(points):
         steps = [driver.shear(strain, "pressure", 1) for strain in gradients[:, i, 0, 2].tolist()]
         volume_strains[:, i] = -np.diff(np.log(driver.run(material, states[i], steps)["phi"]))
     volume_strains = np.resize(np.tile(volume_strains, -(-points // cut)), (len(CYCLES), points))
-    return Scene("cycles of amplitude 0.01 on a path of constant pressure, increments of 0.0025", states,
+    return Case("cycles of amplitude 0.01 on a path of constant pressure, increments of 0.0025", states,
                  _dilated(gradients, volume_strains), {})
 
 
@@ -101,7 +102,7 @@ def _directions(rng, shape, sign):
 
 def _random_states(rng, material, points):
     states = _isotropic(material, rng.uniform(0.60, 0.62, points), material["Zc"] + rng.uniform(0.5, 1, points))
-    fabric = material["kappa"] * rng.random(points)[:, None] * tensors.six(_directions(rng, (points,), 1))
+    fabric = material["kappa"] * rng.random(points)[:, None] * tensors.to_voigt(_directions(rng, (points,), 1))
     states["fabric"] = fabric
     return states
 
@@ -111,7 +112,7 @@ def random_spin(points):
     states, shape = _random_states(rng, Material(), points), (10, points)
     strain = 0.01 * sizes[:, None, None] * _directions(rng, shape, 1)                  # |D|: half the shear strain
     spin = 0.2 * rng.random((*shape, 1, 1)) * _directions(rng, shape, -1)
-    return Scene("random directions in 3D, increments of 0.02 with spins up to 0.2", states,
+    return Case("random directions in 3D, increments of 0.02 with spins up to 0.2", states,
                  _dilated(strain + spin, rng.uniform(-0.001, 0.001, shape)), {})
 
 
@@ -119,14 +120,14 @@ def quarter_turn(points):
     rng, sizes = _random(points)
     states, shape = _random_states(rng, Material(), points), (4, points)
     strain = 0.01 * sizes[:, None, None] * _directions(rng, shape, 1)
-    return Scene("turned by 90 degrees in each increment of 0.02", states, strain + np.pi / 2 * _directions(rng, shape, -1), {})
+    return Case("turned by 90 degrees in each increment of 0.02", states, strain + np.pi / 2 * _directions(rng, shape, -1), {})
 
 
 def through_phic(points):
     rng, sizes = _random(points)
     states = _steady(Material(), rng.uniform(0.5885, 0.591, points))
     volume_strains = np.multiply.outer([0.002] * 10 + [-0.002] * 10, sizes)
-    return Scene("volume fraction through phic and back, increments of 0.01", states,
+    return Case("volume fraction through phic and back, increments of 0.01", states,
                  _dilated(_shear([0.01] * 20, sizes), volume_strains), {})
 
 
@@ -146,6 +147,6 @@ def huge(points):
     return _reversed_shear("reversals, increments of 1", points, [-1.0, 1, -1, 1])
 
 
-SCENES = {"start-up": start_up, "reversal": reversal, "cycles-volume": cycles_volume, "cycles-pressure": cycles_pressure,
+CASES = {"start-up": start_up, "reversal": reversal, "cycles-volume": cycles_volume, "cycles-pressure": cycles_pressure,
           "random-spin": random_spin, "quarter-turn": quarter_turn, "through-phic": through_phic, "unjamming": unjamming,
           "stiff": stiff, "tiny": tiny, "huge": huge}

@@ -13,10 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from . import driver, tensors
-from .material import CALIBRATIONS, STATE, Material, refuse
+from .. import driver, tensors
+from ..checks import refuse
+from ..core import STATE
+from ..material import CALIBRATIONS, Material
+from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
-BLUE, RED, GREEN, PURPLE, ORANGE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "0.25"     # Okabe & Ito
 MU_COLOURS = {0.0: PURPLE, 0.1: GREEN, 0.3: ORANGE, 0.5: BLUE, 1.0: RED}
 STRESSES = {"normal": ("xx", "yy", "zz"), "normal, two": ("13", "yy"), "shear": ("xz", "xy", "yz")}      # of a panel
 DEM = "DEM (this project's runs, 2000 spheres, one realisation each)"
@@ -83,7 +85,7 @@ class Run(NamedTuple):
 
 def dem_runs(*mus, phi=None):
     """The DEM runs with one of these mu and, if given, this volume fraction; FileNotFoundError without the package's data."""
-    folder = resources.files(__package__) / "data"
+    folder = resources.files("granumat") / "data"
     names = sorted(file.name for file in folder.iterdir()) if folder.is_dir() else []
     matches = [match for match in (re.fullmatch(r"cv_mu([\d.]+)_phi([\d.]+)_s\d+\.csv", name) for name in names) if match]
     if not matches:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from .bench import random_batch
-from .material import STATE, Material
+from ..core import STATE
+from ..material import Material
+from .batches import random_batch
 
 POINTS = 20_000
 REPEATS = 5

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import tensors
+from .. import tensors
 
 REFERENCE_RTOL = 1e-13
 REFERENCE_MAX_STEP = 1 / 16        # of an increment; half of it changes nothing above 1e-12 (tests/test_chart.py)

@@ -12,14 +12,15 @@ import time
 
 import numpy as np
 
-from . import driver, tensors
-from .material import STATE, Material, arithmetic
+from .. import driver, tensors
+from ..core import STATE, arithmetic
+from ..material import Material
+from .batches import BATCH_SHEAR, PHI, random_batch
 
 INCREMENTS = 1000
 SHEAR = -1.0                      # reversed from a steady state
 REPEATS = 7
 ROUNDS = 300
-PHI = 0.60
 
 
 def _rates(c, state, tr):
@@ -104,24 +105,10 @@ def compare(control, rate, tolerance):
 
 # ---- the batch -------------------------------------------------------------------------------------------------------
 
-BATCH_SHEAR = 0.01                # largest shear strain of an increment
 BYTES = 160 + 72 + 160 + 4        # a point's old state and gradient read, new state and status written
 # Additions, multiplications and divisions of one update: about 68 in each of 8 terms of the series, 16 exponentials and series
 # at the nodes of 24 each, 300 for stress, nodes and checks.
 OPERATIONS = 8 * 68 + 16 * 24 + 300
-
-
-def random_batch(material, n, shear=BATCH_SHEAR, seed=0):
-    """States (n,) near steady shear and displacement gradients (n, 3, 3) in random directions with spin."""
-    rng = np.random.default_rng(seed)
-    states = np.full(n, material.steady(PHI), STATE)
-    states["fabric"] *= rng.uniform(0.3, 1, n)[:, None]
-    states["coordination_number"] += rng.uniform(-0.3, 0.3, n)
-    gradient = rng.normal(size=(n, 3, 3))
-    gradient -= np.trace(gradient, axis1=1, axis2=2)[:, None, None] * np.eye(3) * 0.3
-    strain = tensors.six((gradient + np.swapaxes(gradient, 1, 2)) / 2)
-    gradient *= (shear / 2 * rng.random(n) / tensors.modulus(strain))[:, None, None]
-    return states, gradient
 
 
 def _least(actions, clock=time.thread_time, rounds=ROUNDS):
@@ -173,11 +160,11 @@ def print_sizes(sizes=(1_000, 10_000, 100_000, 1_000_000, 10_000_000)):
 
 
 def print_peers():
-    """Beside a NumPy Runge-Kutta of the whole batch and SciPy point by point, over the scenes of the chart."""
+    """Beside a NumPy Runge-Kutta of the whole batch and SciPy point by point, over the cases of the chart."""
     from . import chart
-    scenes = {name: chart.measure(name, rounds=5) for name in chart.SCENES}
+    cases = {name: chart.measure(name, rounds=5) for name in chart.CASES}
     print("the fastest of NumPy in the batch, and of SciPy point by point, to reach an error: time over the update's, over "
-          f"{len(scenes)} scenes\n(of exact: its own error, at least {chart.FINEST:.0e})\n{chart.equal_error(scenes)}")
+          f"{len(cases)} cases\n(of exact: its own error, at least {chart.FINEST:.0e})\n{chart.equal_error(cases)}")
 
 
 def newton_residuals(increment=0.02):

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-from . import driver
-from .figures import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from .material import Material
+from .. import driver
+from ..material import Material
+from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
 ELASTIC_STRAINS = (0.0, 0.01)

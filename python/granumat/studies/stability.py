@@ -11,9 +11,10 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from . import tensors
-from .errors import MaterialError
-from .material import METHODS, STATE, Material
+from .. import tensors
+from ..core import STATE
+from ..errors import MaterialError
+from ..material import METHODS, Material
 
 S_HAT = np.array([0, 0, 0, 0, 1.0, 0])                # pure shear in x-z
 TRANSVERSE = np.array([1.0, 0, -1, 0, 0, 0])          # a fabric across it: abs 1, no projection on S^
@@ -34,7 +35,7 @@ LIMIT_COLUMNS = ("rough_above", "wrong_above", "wrong_sign_above", "reported_abo
 
 def advance(material, states, gammas):
     """States after increments `gammas` of pure shear, and the status of each: failing points keep their state."""
-    gradient = np.asarray(gammas, float)[..., None, None] / 2 * tensors.full(S_HAT)
+    gradient = np.asarray(gammas, float)[..., None, None] / 2 * tensors.to_matrix(S_HAT)
     try:
         return material.update(states, gradient), np.zeros(np.shape(states), int)
     except MaterialError as failure:
@@ -94,7 +95,7 @@ def outcomes(materials, fabrics, gammas):
     result = np.empty((len(materials), *pairs), int)
     for outcome, material in zip(result, materials):
         found, status = advance(material, states, increments)
-        error = tensors.modulus(found.fabric - exact.fabric) / material["kappa"]
+        error = tensors.magnitude(found.fabric - exact.fabric) / material["kappa"]
         outcome[:] = np.select([error < ACCURATE, error < ROUGH], [0, 1], 3)
         outcome[(tensors.contract(found.fabric, S_HAT) * x_exact < 0) & (error >= ROUGH)] = 4
         outcome[gone != 0] = 3                              # returned where there is nothing to return

@@ -1,7 +1,7 @@
-"""Speed against accuracy: the update and its alternatives over the scenes of granumat.scenes, measured, charted, tabulated.
+"""Speed against accuracy: the update and its alternatives over the cases of granumat.cases, measured, charted, tabulated.
 
 Cost is processor time per point and given increment, of one thread, in a batch; SciPy's solvers go point by point, over a few
-of the points. Errors are the largest over points and increments' ends, against rates.reference: of A over kappa, of Z2, and of
+of the points. Errors are the largest over points and increments' ends, against rate_form.reference: of A over kappa, of Z2, and of
 the stress over the point's largest pressure.
 """
 
@@ -18,11 +18,13 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from . import rates
-from .errors import MaterialError
-from .figures import BLUE, GREEN, ORANGE, PURPLE, RED
-from .material import STATE, Material, refuse
-from .scenes import SCENES
+from ..checks import refuse
+from ..core import STATE
+from ..errors import MaterialError
+from ..material import Material
+from . import rate_form
+from .cases import CASES
+from .colours import BLUE, GREEN, ORANGE, PURPLE, RED
 
 POINTS = 1024
 POINTS_BY_SCIPY = 4
@@ -38,7 +40,7 @@ PEERS = {"NumPy": 20, "SciPy": 1000}      # how many times as long they are to t
 CUT = {"inside": ("forward-euler", "midpoint", "rk4", "backward-euler"), "before": ("exact", "rk4", "backward-euler")}
 NUMPY = "NumPy RK4"
 SCIPY = {"DOP853": (*TOLERANCES, 3e-14), "LSODA": TOLERANCES, "Radau": TOLERANCES[:4]}      # and the values of rtol
-COLUMNS = ("scene", "method", "spin", "pieces", "tolerance", "error_A", "error_Z2", "error_sigma",
+COLUMNS = ("case", "method", "spin", "pieces", "tolerance", "error_A", "error_Z2", "error_sigma",
            "end_A", "end_Z2", "end_sigma", "ns_per_update", "status")
 
 STYLES = {
@@ -63,7 +65,7 @@ class Contender(NamedTuple):
 class Row(NamedTuple):
     """A line of chart.csv."""
 
-    scene: str
+    case: str
     method: str
     spin: str
     pieces: int | None
@@ -109,7 +111,7 @@ def as_results(path):
 
 
 def run_numpy(material, y, gradients, substeps):
-    return rates.runge_kutta(material, y, gradients, substeps), ""
+    return rate_form.runge_kutta(material, y, gradients, substeps), ""
 
 
 def run_scipy(material, y, gradients, method, rtol):
@@ -119,30 +121,30 @@ def run_scipy(material, y, gradients, method, rtol):
         warnings.simplefilter("ignore")                       # LSODA's, of steps too many
         for i in range(y.shape[1]):
             try:
-                path[:, :, i] = rates.solve_point(material, y[:, i], gradients[..., i], method, rtol)
+                path[:, :, i] = rate_form.solve_point(material, y[:, i], gradients[..., i], method, rtol)
             except ArithmeticError as error:
                 return path, f"refused at point {i}: {error}"
     return path, ""
 
 
-def _core_contender(scene, path, method, spin, pieces=1, tolerance=None):
+def _core_contender(case, path, method, spin, pieces=1, tolerance=None):
     options = {} if tolerance is None else {"method_tolerance": tolerance}
-    material = Material(**scene.definition, method=method, spin=spin, **options)
-    run = functools.partial(run_core, material, scene.states, scene.gradients / pieces, pieces, path)
+    material = Material(**case.definition, method=method, spin=spin, **options)
+    run = functools.partial(run_core, material, case.states, case.gradients / pieces, pieces, path)
     return Contender(method, spin, None if tolerance else pieces, tolerance, slice(None), run)
 
 
-def contenders(scene):
-    """All methods with all their settings, for a scene."""
-    path = np.zeros(scene.gradients.shape[:2], STATE)         # all of the core's write it, in turn
-    found = [_core_contender(scene, path, "exact", "inside", pieces) for pieces in PIECES[:2]]
-    found += [_core_contender(scene, path, "bogacki-shampine", "inside", tolerance=tolerance) for tolerance in TOLERANCES]
+def contenders(case):
+    """All methods with all their settings, for a case."""
+    path = np.zeros(case.gradients.shape[:2], STATE)         # all of the core's write it, in turn
+    found = [_core_contender(case, path, "exact", "inside", pieces) for pieces in PIECES[:2]]
+    found += [_core_contender(case, path, "bogacki-shampine", "inside", tolerance=tolerance) for tolerance in TOLERANCES]
     for spin, methods in CUT.items():
         for method in methods:
-            found += [_core_contender(scene, path, method, spin, pieces) for pieces in PIECES]
+            found += [_core_contender(case, path, method, spin, pieces) for pieces in PIECES]
 
-    material, gradients = Material(**scene.definition), rates.components_first(scene.gradients)
-    y, few = rates.unknowns(material, scene.states), slice(None, None, max(1, len(scene.states) // POINTS_BY_SCIPY))
+    material, gradients = Material(**case.definition), rate_form.components_first(case.gradients)
+    y, few = rate_form.unknowns(material, case.states), slice(None, None, max(1, len(case.states) // POINTS_BY_SCIPY))
     for pieces in PIECES_BY_NUMPY:
         found.append(Contender(NUMPY, "inside", pieces, None, slice(None),
                                functools.partial(run_numpy, material, y, gradients, pieces)))
@@ -174,12 +176,12 @@ def _run(runner):
 
 
 def measure(name, points=POINTS, rounds=ROUNDS):
-    """Rows of a scene: every contender once for its errors, and in turn up to `rounds` times for its time."""
-    scene = SCENES[name](points)
-    material = Material(**scene.definition)
-    exact = rates.reference(material, rates.unknowns(material, scene.states), rates.components_first(scene.gradients))
+    """Rows of a case: every contender once for its errors, and in turn up to `rounds` times for its time."""
+    case = CASES[name](points)
+    material = Material(**case.definition)
+    exact = rate_form.reference(material, rate_form.unknowns(material, case.states), rate_form.components_first(case.gradients))
     rows, runners, times = [], [], []
-    for runner in contenders(scene):
+    for runner in contenders(case):
         if runner.method == NUMPY and best([row for row in rows if row.method == NUMPY], finest(rows)):
             continue                                          # more pieces would only take longer
         seconds, path, refused = _run(runner)
@@ -242,11 +244,11 @@ def _ratio(exact, row):
     return f"{ratio:.{0 if ratio >= 10 else 1 if ratio >= 2 else 2}f}"
 
 
-def _fastest(scenes):
+def _fastest(cases):
     """Markdown: exact, then for every target its fastest competitor."""
-    lines = ["| scene | exact | " + " | ".join(f"error below {target:.0e}" for target in TARGETS) + " |",
+    lines = ["| case | exact | " + " | ".join(f"error below {target:.0e}" for target in TARGETS) + " |",
              "|---" * (2 + len(TARGETS)) + "|"]
-    for name, rows in scenes.items():
+    for name, rows in cases.items():
         exact = exact_row(rows)
         found = [best([row for row in rows if row.method != "exact"], target) for target in TARGETS]
         cells = [f"{named(row)} ({_cost(row)}): {_ratio(exact, row)}" if row else "none" for row in found]
@@ -254,39 +256,39 @@ def _fastest(scenes):
     return "\n".join(lines)
 
 
-def peers(scenes):
+def peers(cases):
     """Markdown: the fastest of NumPy and of SciPy for every target, over exact."""
-    lines = ["| scene | " + " | ".join(f"{peer}, {target:.0e}" for peer in ("NumPy", "SciPy") for target in TARGETS) + " |",
+    lines = ["| case | " + " | ".join(f"{peer}, {target:.0e}" for peer in ("NumPy", "SciPy") for target in TARGETS) + " |",
              "|---" * (1 + 2 * len(TARGETS)) + "|"]
-    for name, rows in scenes.items():
+    for name, rows in cases.items():
         cells = [_ratio(exact_row(rows), best([row for row in rows if row.method.startswith(peer)], target))
                  for peer in ("NumPy", "SciPy") for target in TARGETS]
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def front(scenes):
+def front(cases):
     """In words: where something is ahead of exact, by both time and error, or at an error that matters."""
     faster, both = [], []
-    for name, rows in scenes.items():
+    for name, rows in cases.items():
         row, exact = ahead(rows), exact_row(rows)
         if row and row.error < TARGETS[0]:
             said = f"{name}: {named(row)} ({_cost(row)}; exact {_cost(exact)})"
             faster.append(said)
             both += [said] if row.error < exact.error else []
-    return f"""Both faster and more accurate than exact, in {len(both)} of {len(scenes)} scenes: {"; ".join(both) or "nothing"}
+    return f"""Both faster and more accurate than exact, in {len(both)} of {len(cases)} cases: {"; ".join(both) or "nothing"}
 
-Faster at an error below {TARGETS[0]:.0e}, in {len(faster)} of {len(scenes)} scenes (of each the most accurate):
+Faster at an error below {TARGETS[0]:.0e}, in {len(faster)} of {len(cases)} cases (of each the most accurate):
 {"; ".join(faster) or "nothing"}"""
 
 
-def equal_error(scenes):
-    """Markdown: over scenes, how many times as long as exact the peers take to an error; what they cannot reach is infinite."""
+def equal_error(cases):
+    """Markdown: over cases, how many times as long as exact the peers take to an error; what they cannot reach is infinite."""
     lines = ["| | error | least | median | not reached | below the aim |", "|---" * 6 + "|"]
     for peer, aim in PEERS.items():
         for target in (*TARGETS[1:], None):
             ratios = {}
-            for name, rows in scenes.items():
+            for name, rows in cases.items():
                 row = best([row for row in rows if row.method.startswith(peer)], target or finest(rows))
                 ratios[name] = row.ns_per_update / exact_row(rows).ns_per_update if row else np.inf
             values = list(ratios.values())
@@ -297,21 +299,21 @@ def equal_error(scenes):
     return "\n".join(lines)
 
 
-def summary(scenes):
-    """What the rows of all scenes say, in Markdown."""
+def summary(cases):
+    """What the rows of all cases say, in Markdown."""
     return f"""The fastest competitor to reach an error (time per point and increment, its error): its time over exact's
 
-{_fastest(scenes)}
+{_fastest(cases)}
 
 The fastest of NumPy in the batch, and of SciPy point by point, to reach an error: time over exact's
 
-{peers(scenes)}
+{peers(cases)}
 
-The same over all scenes; "of exact": exact's own error, at least {FINEST:.0e}
+The same over all cases; "of exact": exact's own error, at least {FINEST:.0e}
 
-{equal_error(scenes)}
+{equal_error(cases)}
 
-{front(scenes)}"""
+{front(cases)}"""
 
 
 # ---- pictures --------------------------------------------------------------------------------------------------------
@@ -349,25 +351,25 @@ def _legend(figure, **options):
 X_LABEL, Y_LABEL = "processor time per point and increment, ns", r"largest error of $A/\kappa$, $Z_2$, $\sigma/p$ over the path"
 
 
-def scene_figure(name, rows):
-    """The picture of one scene."""
+def case_figure(name, rows):
+    """The picture of one case."""
     figure = Figure(figsize=(9, 5.2))
     figure.set_layout_engine("constrained", rect=(0, 0, 0.74, 1))
     axes = figure.add_subplot(xlabel=X_LABEL, ylabel=Y_LABEL)
-    axes.set_title(f"{name}: {SCENES[name](1).title}", fontsize=10, pad=10)
+    axes.set_title(f"{name}: {CASES[name](1).title}", fontsize=10, pad=10)
     _draw(axes, rows, 5)
     _legend(figure, loc="center left", bbox_to_anchor=(0.74, 0.5))
     return figure
 
 
-def overview(scenes):
-    """All scenes, small."""
-    columns = min(4, len(scenes))
-    lines = -(-len(scenes) // columns)
+def overview(cases):
+    """All cases, small."""
+    columns = min(4, len(cases))
+    lines = -(-len(cases) // columns)
     height = 2.7 * lines + 1
     figure = Figure(figsize=(max(3.1 * columns, 6) + 0.4, height))
     figure.set_layout_engine("constrained", rect=(0, 0, 1, 1 - 0.7 / height))
-    for i, (name, rows) in enumerate(scenes.items()):
+    for i, (name, rows) in enumerate(cases.items()):
         axes = figure.add_subplot(lines, columns, i + 1)
         axes.set_title(name, fontsize=9, pad=7)
         _draw(axes, rows, 2.5)
@@ -389,37 +391,37 @@ def write_csv(path, rows):
 
 
 def draw_chart(out, names=None, progress=print):
-    """Measures scenes; writes chart.csv, <scene>.png, and chart.png with all of them.
+    """Measures cases; writes chart.csv, <case>.png, and chart.png with all of them.
 
     Parameters
     ----------
     out : path
         Directory; made if need be.
     names : iterable of str, optional
-        Keys of SCENES; the default is all.
+        Keys of CASES; the default is all.
     progress : function of str
         Told of every file.
 
     Returns
     -------
     dict of str to list of Row
-        Of every scene.
+        Of every case.
 
     Raises
     ------
     ValueError
-        Names every scene that does not exist.
+        Names every case that does not exist.
     """
-    names, out = names or list(SCENES), Path(out)
-    refuse("the chart cannot be drawn", [f"scene {name!r}: must be one of {', '.join(SCENES)}"
-                                         for name in names if name not in SCENES])
+    names, out = names or list(CASES), Path(out)
+    refuse("the chart cannot be drawn", [f"case {name!r}: must be one of {', '.join(CASES)}"
+                                         for name in names if name not in CASES])
     out.mkdir(parents=True, exist_ok=True)
-    scenes = {}
+    cases = {}
     for name in names:
-        scenes[name] = measure(name)
-        scene_figure(name, scenes[name]).savefig(out / f"{name}.png", dpi=110)
+        cases[name] = measure(name)
+        case_figure(name, cases[name]).savefig(out / f"{name}.png", dpi=110)
         progress(f"wrote {out / f'{name}.png'}")
-    write_csv(out / "chart.csv", itertools.chain(*scenes.values()))
-    overview(scenes).savefig(out / "chart.png", dpi=110)
+    write_csv(out / "chart.csv", itertools.chain(*cases.values()))
+    overview(cases).savefig(out / "chart.png", dpi=110)
     progress(f"wrote {out / 'chart.csv'}\nwrote {out / 'chart.png'}")
-    return scenes
+    return cases

@@ -1,7 +1,7 @@
 """Prints and draws what a Newton iteration costs: who takes the time, beside plain linear elasticity, on two ranks, and how time
 and memory grow with the problem.
 
-Every measurement is a process of its own (`python3 -m granumat.fem.bench N`, under mpirun for several ranks): memory is its
+Every measurement is a process of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its
 peak, time the processor's.
 """
 
@@ -22,13 +22,14 @@ from dolfinx.fem import petsc
 from matplotlib.figure import Figure
 from mpi4py import MPI
 
-from .. import _core
+from .. import core
+from ..core import STATE
 from ..errors import GranumatError
-from ..material import STATE, Material
-from .conditions import Displacement, Periodic
-from .meshes import box
-from .problem import Problem
-from .system import ITERATIVE, make_solver
+from ..fem.conditions import Displacement, Periodic
+from ..fem.meshes import box
+from ..fem.problem import Problem
+from ..fem.system import ITERATIVE, make_solver
+from ..material import Material
 
 CELLS = 27                             # a side: 19 683 hexahedra
 SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns
@@ -79,7 +80,7 @@ def _phases(problem):
 
     time_it(problem.material, "update", "material")
     time_it(problem.material, "update_with_tangent", "material")
-    time_it(_core, "core_element_stiffness", "assembly")
+    time_it(core, "element_stiffness", "assembly")
     time_it(problem.system, "assemble", "assembly")
     time_it(problem.system, "solve_assembled", "solution")
     start = time.process_time()
@@ -150,7 +151,7 @@ def _run(arguments, ranks=1):
     """What a process of its own, or several, measured."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
                                 "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
-    command = [sys.executable, "-m", "granumat.fem.bench", *map(str, arguments)]
+    command = [sys.executable, "-m", "granumat.studies.bench_fem", *map(str, arguments)]
     launcher = ["mpirun", "-n", str(ranks)] if ranks > 1 else []
     result = subprocess.run(launcher + command, env=environment, capture_output=True, text=True)
     if result.returncode:

@@ -1,0 +1,91 @@
+"""The compiled core as the package sees it: the only file that imports it.
+
+Parameters `par` (27,) and states (n,) of dtype STATE are passed as the core lays them out; names are those of
+fortran/faces/bindings.f90 without their prefix. Nothing is checked here beyond shapes: `material` does that.
+"""
+
+import numpy as np
+
+from . import _core
+
+STATE = np.dtype([
+    ("stress", "f8", 6), ("fabric", "f8", 6), ("direction", "f8", 6),
+    ("coordination_number", "f8"), ("volume_fraction", "f8"),
+])
+"""What a point remembers, 20 numbers. stress: Cauchy, tension positive, in k/d (k_Hz for Hertzian contacts); fabric: A (3.1);
+direction: D/abs(D) of the last strain, 0 before any. Six components are xx yy zz xy xz yz."""
+
+N_CONSTANTS = 20
+
+parameters_from_friction = _core.core_parameters
+set_method = _core.core_method
+complete_parameters = _core.core_complete
+element_gradients = _core.core_element_gradients
+element_forces = _core.core_element_forces
+element_stiffness = _core.core_element_stiffness
+
+
+def constant_ranges():
+    """name -> (lower, upper, closed) of every constant, from the core's table."""
+    ranges = {}
+    for i in range(1, N_CONSTANTS + 1):
+        name, lower, upper, closed = _core.core_range(i)
+        ranges[name.tobytes().decode().strip()] = (lower[0], upper[0], bool(closed[0]))
+    return ranges
+
+
+def status_message(status):
+    """The core's words for a status."""
+    return _core.core_message(int(status)).tobytes().decode().strip()
+
+
+def numbers(states):
+    """States (n,) as the core sees them, (n, 20), without a copy."""
+    return states.view(np.ndarray).view(float).reshape(-1, 20)
+
+
+def update(par, old, gradients, new, status, threads):
+    """Writes the states (n,) after displacement gradient increments (n, 3, 3) into new, and status (n,)."""
+    _core.core_update(threads, par, numbers(old), gradients, numbers(new), status)
+
+
+def update_with_tangent(par, old, gradients, new, status, tangent, threads):
+    """As update, and writes the consistent tangent (n, 6, 6 or 9), or in plane strain (n, 4, 3 or 4)."""
+    _core.core_tangent(threads, par, numbers(old), gradients, numbers(new), status, tangent)
+
+
+def evaluate(par, states):
+    """Replaces the stress of states (n,) by the model's; returns the friction coefficient eta (n,)."""
+    return _core.core_evaluate(par, numbers(states))
+
+
+def transverse_modulus(par, states):
+    """eta_t (n,) of states (n,)."""
+    return _core.core_transverse_modulus(par, numbers(states))
+
+
+def response(par, states):
+    """Response matrices (n, 6, 6) of states (n,)."""
+    return _core.core_response(par, numbers(states))
+
+
+def ellipticity(par, states, threads):
+    """Smallest eigenvalue and determinant (n, 2) of the acoustic tensor of states (n,), and their normals (n, 2, 3)."""
+    return _core.core_ellipticity(threads, par, numbers(states))
+
+
+def follow_path(par, start, gradients, modes, functionals, targets, tolerance):
+    """States (done,), amplitudes (done, m) and the status of the increments (n, 3, 3) of one point from a state start (1,)."""
+    m = len(modes)
+    rows = max(m, 1)                                              # the binding takes no empty arrays
+    states, amplitudes, done, status = _core.core_path(
+        m, par, numbers(start)[0], gradients, np.resize(modes, (rows, 3, 3)), np.resize(functionals, (rows, 6)),
+        np.resize(targets, (len(gradients) + 1, rows)), tolerance)
+    done = int(done[0])
+    return states[:done].view(STATE)[:, 0].view(np.recarray), amplitudes[:done, :m], int(status[0])
+
+
+def arithmetic(rounds):
+    """Does 192 * rounds additions and multiplications in registers; returns their number."""
+    _core.core_arithmetic(rounds)
+    return 192 * rounds
