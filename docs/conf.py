@@ -12,9 +12,11 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpyd
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 4                         # links to headings are those of hosting pages: page.md#a-heading
 html_theme = "furo"
+html_static_path, html_css_files = ["site.css"], ["site.css"]
 html_title = f"granumat {version}"
 html_copy_source = html_show_sphinx = smartquotes = False
 
+highlight_language = "none"                      # of blocks that name none: what is printed
 default_role = "code"                            # docstrings name things in single backquotes
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"                       # the docstrings say types, with shapes and units

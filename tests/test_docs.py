@@ -141,6 +141,12 @@ def test_every_picture_of_the_demos_is_shown():
     assert {path.name for path in (ROOT / "demos/pictures").iterdir()} <= shown
 
 
+def test_the_page_of_the_c_interface_names_what_the_header_declares():
+    declared = re.findall(r"^void (\w+)\(", (ROOT / "fortran/faces/granumat.h").read_text(), re.M)
+    named = re.findall(r"`(granumat_\w+)(?:\([^`]*\))?`", PAGES["docs/c-interface.md"])
+    assert set(named) - {"granumat_state"} == set(declared)
+
+
 def test_constants_follow_from_mu_as_the_page_says():
     rows = re.findall(r"^\| (?:`(\w+)`)? ?\| [^|]*?(?:calibration `([\w-]+)`)? \| ([-\d][^|,]*|0\.1 mu) \|$",
                       PAGES["docs/closures-and-limits.md"], re.M)
