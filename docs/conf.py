@@ -12,7 +12,10 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpyd
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 4                         # links to headings are those of hosting pages: page.md#a-heading
 html_theme = "furo"
-html_static_path, html_css_files = ["site.css"], ["site.css"]
+html_static_path = ["site.css", "formulas.js", "/usr/share/javascript/katex"]
+html_css_files = ["site.css", "katex.css"]
+html_js_files = [(name, {"defer": "defer"}) for name in ("katex.js", "contrib/auto-render.js")]
+mathjax_path, mathjax_options = "formulas.js", {"defer": "defer"}         # Debian's KaTeX in place of what comes over the net
 html_title = f"granumat {version}"
 html_copy_source = html_show_sphinx = smartquotes = False
 
