@@ -128,7 +128,7 @@ contains
     do attempt = 0, MAX_ROOTS
       small = maxval(maxval(abs(change), 3), 2) <= SERIES_UP_TO
       if (all(small .or. .not. found) .or. attempt == MAX_ROOTS) exit
-      call take_root(.not. small, f)
+      call take_root(.not. small, f, found)
       change = merge(change, f - identity(), spread(spread(small, 2, 3), 3, 3))
       roots = roots + merge(0, 1, small)
     end do
@@ -139,10 +139,11 @@ contains
     L = L * spread(spread(2.0_dp**roots, 2, 3), 3, 3)
   end subroutine gradient_logarithm
 
-  !> Square roots in the lanes named: E. D. Denman, A. N. Beavers, Appl. Math. Comput. 2 (1976) 63-94.
-  pure subroutine take_root(lane, f)
+  !> Square roots in the lanes named, not found of half a turn: E. D. Denman, A. N. Beavers, Appl. Math. Comput. 2 (1976) 63-94.
+  pure subroutine take_root(lane, f, found)
     logical, intent(in) :: lane(LANES)
     real(dp), intent(inout) :: f(LANES, 3, 3)
+    logical, intent(inout) :: found(LANES)
     real(dp), dimension(LANES, 3, 3) :: root, reciprocal, next, inverse
     real(dp) :: det(LANES), change
     integer :: k
@@ -151,8 +152,10 @@ contains
     reciprocal = identity()
     do k = 1, MAX_ITERATIONS
       call invert(reciprocal, inverse, det)
+      found = found .and. (abs(det) > 0 .or. .not. lane)
       next = (root + inverse) / 2
       call invert(root, inverse, det)
+      found = found .and. (abs(det) > 0 .or. .not. lane)
       reciprocal = (reciprocal + inverse) / 2
       change = maxval(abs(next - root))
       root = next

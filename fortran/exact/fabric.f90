@@ -75,7 +75,7 @@ contains
     real(dp), intent(in) :: S(LANES, 5), mod_D(LANES), w(LANES, 3), factor(LANES), B(LANES, 5), y(LANES)
     real(dp), intent(out) :: next_B(LANES, 5), next_y(LANES)
 
-    next_B = times(factor, linear_fabric_rate(par, B, times(y, S), mod_D, w))           ! (4.7), A = B and S = y S
+    next_B = times(factor, linear_fabric_rate(par, B, y, S, mod_D, w))
     next_y = -par%c3 * factor * contract(B, S)
   end subroutine next_term
 

@@ -89,7 +89,7 @@ contains
     type(internal_state) :: x
     type(substep_record) :: record
 
-    x = to_internal(par, old)
+    call to_internal(par, old, x)
     new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
     where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
     record%all_wanted = present(tangent)
@@ -99,15 +99,15 @@ contains
   end subroutine deform
 
   !> What evolves, from states.
-  pure function to_internal(par, old) result(x)
+  pure subroutine to_internal(par, old, x)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
-    type(internal_state) :: x
+    type(internal_state), intent(out) :: x
     x%A = deviator(old%fabric)
     x%excess = old%coordination_number - par%Zc
     x%phi = old%volume_fraction
     x%dev = deviator(old%stress)
-  end function to_internal
+  end subroutine to_internal
 
   !> States from what has evolved, all but the volume fraction, and whether they are admissible.
   pure subroutine to_state(par, inc, x, new, status)
@@ -127,7 +127,7 @@ contains
     new%stress = add_identity(to_voigt(x%dev), -pressure(par, factor, x%excess))
   end subroutine to_state
 
-  !> Completes new states: where D = 0 they are the old ones rotated with the body, where the update failed the old ones.
+  !> Completes new states: those where D = 0, and those where the update failed, which stay the old ones.
   pure subroutine complete(old, spin, moves, new, status)
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: spin(LANES, 3)
@@ -135,14 +135,24 @@ contains
     type(lane_state), intent(inout) :: new
     integer, intent(inout) :: status(LANES)
 
-    if (any(.not. moves .and. maxval(abs(spin), 2) > 0)) then
-      call replace(.not. moves, rotated(old, spin), new)
-    else if (.not. all(moves)) then
-      call replace(.not. moves, old, new)
-    end if
+    if (.not. all(moves)) call rotate_at_rest(old, spin, moves, new)
     where (status == OK .and. .not. is_finite(new)) status = RESULT_NOT_FINITE
     if (any(status /= OK)) call replace(status /= OK, old, new)
   end subroutine complete
+
+  !> Where D = 0, states rotate with the body and the stress holds; without spin they stay the same to the last bit.
+  pure subroutine rotate_at_rest(old, spin, moves, new)
+    type(lane_state), intent(in) :: old
+    real(dp), intent(in) :: spin(LANES, 3)
+    logical, intent(in) :: moves(LANES)
+    type(lane_state), intent(inout) :: new
+
+    if (any(.not. moves .and. maxval(abs(spin), 2) > 0)) then
+      call replace(.not. moves, rotated(old, spin), new)
+    else
+      call replace(.not. moves, old, new)
+    end if
+  end subroutine rotate_at_rest
 
   !> Replaces states in the lanes named.
   pure subroutine replace(lane, by, states)

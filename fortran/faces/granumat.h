@@ -59,7 +59,8 @@ void granumat_update_states(int n, int threads, const struct granumat_parameters
 /* The same with the consistent tangent: tangent[i][j][k] = d stress_j / d strain_k of point i (engineering shears), j < rows = 6,
  * k < columns = 6, or 9 with the spins 12 13 23 in k = 6 ... 8; in plane strain rows = 4, stresses 11 22 33 12, and columns is 3
  * for the strains 11 22 12, 4 for the spin 12 too. */
-void granumat_update_states_with_tangent(int n, int threads, int rows, int columns, const struct granumat_parameters *par, const struct granumat_state *old,
+void granumat_update_states_with_tangent(int n, int threads, int rows, int columns, const struct granumat_parameters *par,
+                  const struct granumat_state *old,
                   const double (*gradient)[3][3], struct granumat_state *new_states, int *status, double *tangent);
 
 /* The words for a status, blank padded, without a terminating 0. */

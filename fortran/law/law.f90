@@ -13,21 +13,22 @@ module granumat_law
 
 contains
 
-  !> (4.7): dA/dt = W A - A W + c1 S + c2 |D| A + c3 (A : S) A, without its last term.
-  pure function linear_fabric_rate(par, A, S, mod_D, w) result(dot_A)
-    type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 5), S(LANES, 5), mod_D(LANES), w(LANES, 3)
-    real(dp) :: dot_A(LANES, 5)
-    dot_A = par%c1 * S + times(par%c2 * mod_D, A) + corotate(w, A)
-  end function linear_fabric_rate
-
-  !> (4.7), the whole.
+  !> (4.7): dA/dt = W A - A W + c1 S + c2 |D| A + c3 (A : S) A.
   pure function fabric_rate(par, A, S, mod_D, w) result(dot_A)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: A(LANES, 5), S(LANES, 5), mod_D(LANES), w(LANES, 3)
-    real(dp) :: dot_A(LANES, 5)
-    dot_A = linear_fabric_rate(par, A, S, mod_D, w) + times(par%c3 * contract(A, S), A)
+    real(dp) :: dot_A(LANES, 5), one(LANES)
+    one = 1
+    dot_A = linear_fabric_rate(par, A, one, S, mod_D, w) + times(par%c3 * contract(A, S), A)
   end function fabric_rate
+
+  !> (4.7) without its last term, linear in the pair (B, y): W B - B W + c1 y S + c2 |D| B.
+  pure function linear_fabric_rate(par, B, y, S, mod_D, w) result(dot_B)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: B(LANES, 5), y(LANES), S(LANES, 5), mod_D(LANES), w(LANES, 3)
+    real(dp) :: dot_B(LANES, 5)
+    dot_B = corotate(w, B) + times(par%c1 * y, S) + times(par%c2 * mod_D, B)
+  end function linear_fabric_rate
 
   !> (4.8): dZ2/dt = d1 (A : S - chi |S|) + d2 |D| (f - Z2) + d3 tr D, with f - Z2 as `missing`.
   pure function coordination_rate(par, A_S, mod_S, mod_D, missing, tr_D) result(dot_Z2)

@@ -103,7 +103,7 @@ contains
     type(internal_state) :: x
     real(dp) :: y(LANES, N_EVOLVING)
 
-    x = to_internal(par, start)
+    call to_internal(par, start, x)
     y(:, :5) = x%A
     y(:, I_EXCESS) = x%excess
     y(:, I_PHI) = x%phi

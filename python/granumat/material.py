@@ -112,7 +112,7 @@ class Material:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
-        core.set_method(par, method_number, spin_number, method_tolerance)
+        self._scheme = method_number, spin_number, method_tolerance
         self._par = par
         self._par.flags.writeable = False
         self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
