@@ -1,4 +1,4 @@
-"""The site of the documentation: pages in Markdown, and a reference from the docstrings of the granumat that PYTHONPATH leads to."""
+"""The site of the documentation: pages in Markdown, and a reference from the docstrings of the granumat on PYTHONPATH."""
 
 import re
 

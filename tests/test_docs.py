@@ -1,5 +1,8 @@
-"""What README and the pages of docs/ say is so: their programs run and print what stands below them, their files are accepted, their
-links lead somewhere, the files that they name exist, and the site builds without a warning."""
+"""What README and the pages of docs/ say is so.
+
+Their programs run and print what stands below them, their files are accepted, their links lead somewhere, the files that they name
+exist, and the site builds without a warning.
+"""
 
 import contextlib
 import io
