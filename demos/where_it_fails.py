@@ -3,7 +3,7 @@
 #
 # One sector of the annular shear cell, tied to itself, is turned and turned back with every closure, elastic strain e_r and
 # increment. Recorded are how far the increment had to be cut, where the run stopped and why, and the least transverse modulus eta_t
-# of the points, which is negative where ellipticity is lost (`granumat wellposed`). `WHERE_IT_FAILS.md` discusses the map.
+# of the points, which is negative where ellipticity is lost (`granumat wellposed`). `docs/where-it-fails.md` discusses the map.
 
 # %%
 from itertools import product

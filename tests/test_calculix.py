@@ -25,9 +25,9 @@ def test_homogeneous_jobs_equal_the_driver_to_the_printed_digits(demo, name):
     assert all(error < PRINTED for error in errors.values()), errors
 
 
-def test_decks_name_the_constants_as_the_readme_does(demo):
+def test_decks_name_the_constants_as_the_page_of_the_umat_does(demo):
     from ccx import CONSTANTS
-    table = (ROOT / "README.md").read_text().split("| PROPS | name |")[1].split("\n\n")[0]
+    table = (ROOT / "docs/umat.md").read_text().split("| PROPS | name |")[1].split("\n\n")[0]
     assert re.findall(r"^\| \d+ \| `(\w+)`", table, re.MULTILINE) == list(CONSTANTS)
 
 

@@ -87,13 +87,13 @@ def table(prefix):
 
 
 @pytest.mark.parametrize("prefix, length", [("P", 9), ("S", 23)])
-def test_readme_has_the_table_of_the_code(prefix, length):
-    readme = (ROOT / "README.md").read_text()
+def test_the_page_of_the_umat_has_the_table_of_the_code(prefix, length):
+    page = (ROOT / "docs/umat.md").read_text()
     slots = table(prefix)
     numbers = [number for number, _, _ in slots]
     assert numbers == sorted(numbers) and numbers[0] == 1 and numbers[-1] == length
     for number, name, words in slots:
-        assert f"| {number} | `{name}` | {words} |" in readme
+        assert f"| {number} | `{name}` | {words} |" in page
 
 
 @pytest.mark.parametrize("deck", ["abaqus/shear.inp", "moose/shear.i", "fortran/shear.f90"])

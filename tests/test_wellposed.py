@@ -1,4 +1,4 @@
-"""The study of ellipticity after a reversal: what it writes, and the numbers of demos/WELLPOSED.md."""
+"""The study of ellipticity after a reversal: what it writes, and the numbers of docs/well-posedness.md."""
 
 import csv
 

@@ -1,7 +1,5 @@
 """Scene files: what they may say, what is refused, and that a file does what the same Python does."""
 
-import contextlib
-import io
 import os
 import re
 import subprocess
@@ -308,25 +306,6 @@ def test_the_reference_blas_is_warned_of_with_the_better_package(monkeypatch):
             warnings.simplefilter("always")
             system.warn_of_reference_blas()
         assert [("libopenblas0" in str(warning.message)) for warning in caught] == [True] * told
-
-
-def test_the_scene_file_of_readme_runs(tmp_path):
-    text = re.search(r"```toml\n(\[material\][^`]*\[mesh\].*?)```", (ROOT / "README.md").read_text(), re.S)[1]
-    with_keys = text.replace("until = 120", "until = 1").replace("cells = [16, 8]", "cells = [4, 2]")
-    problem, files = scene.solve(written(tmp_path, with_keys), tmp_path / "out")
-    assert problem.t == 1 and len(files) == 4 and all(path.exists() for path in files)
-
-
-def test_the_first_problem_of_readme_prints_what_readme_says(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    readme = (ROOT / "README.md").read_text()
-    example, printed = re.search(r"```python\n(from granumat import Material, fem\n.*?)```\n\n```\n(.*?)```", readme, re.S).groups()
-    assert example.count("\n") <= 15
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
-        exec(example, {})
-    assert said.getvalue() == printed
-    assert {path.name for path in tmp_path.iterdir()} == {"ring.xdmf", "ring.bin", "torque.csv", "phi-000025.png"}
 
 
 def test_an_error_of_one_rank_ends_the_others_that_wait_for_it(mpirun):

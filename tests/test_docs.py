@@ -1,0 +1,178 @@
+"""What README and the pages of docs/ say is so.
+
+Their programs run and print what stands below them, their files are accepted, their links lead somewhere, the files that they name
+exist, and the site builds without a warning.
+"""
+
+import contextlib
+import io
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from granumat import Material, cli
+from granumat.paths import read_path_file
+from granumat.studies.cases import CASES
+
+ROOT = Path(__file__).resolve().parents[1]
+README, DOCS = ROOT / "README.md", ROOT / "docs"
+PAGES = {str(path.relative_to(ROOT)): path.read_text() for path in (README, *sorted(DOCS.rglob("*.md")))}
+PROGRAM = re.compile(r"^```python\n(.*?)^```\n(?:\n```\n(.*?)^```$)?", re.M | re.S)          # and what it prints
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```$", PAGES[page], re.M | re.S)
+
+
+def pages_with(language):
+    return [page for page in PAGES if blocks(page, language)]
+
+
+def printed_by(program, names):
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(program, names)
+    return printed.getvalue()
+
+
+# ---- what can be run -------------------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("page", pages_with("python"))
+def test_the_programs_of_a_page_print_what_stands_below_them(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    names = {}
+    programs = PROGRAM.findall(PAGES[page])
+    assert len(programs) == len(blocks(page, "python"))
+    for program, below in programs:
+        if re.search(r"\bfem\b|dolfinx", program):
+            pytest.importorskip("dolfinx")
+        assert printed_by(program, names) == below
+
+
+def test_the_first_problem_is_short_and_leaves_its_files(tmp_path, monkeypatch):
+    pytest.importorskip("dolfinx")
+    monkeypatch.chdir(tmp_path)
+    program = blocks("docs/finite-elements.md", "python")[0]
+    assert program.count("\n") <= 15
+    printed_by(program, {})
+    assert {path.name for path in tmp_path.iterdir()} == {"ring.xdmf", "ring.bin", "torque.csv", "phi-000025.png"}
+
+
+@pytest.mark.parametrize("page", pages_with("toml"))
+def test_the_files_of_a_page_are_accepted(page, tmp_path):
+    np.savetxt(tmp_path / "table.csv", [[0, 0.007], [0.1, 0.008]], delimiter=",", header="gamma,p", comments="")
+    for text in blocks(page, "toml"):
+        content = tomllib.loads(text)
+        (tmp_path / "file.toml").write_text(text)
+        if "step" in content:
+            read_path_file(tmp_path / "file.toml")
+        elif "mesh" in content:
+            pytest.importorskip("dolfinx")
+            from granumat.fem import scene
+            scene.read_scene(tmp_path / "file.toml")
+
+
+def test_the_path_file_with_every_key_has_all_steps(tmp_path):
+    (tmp_path / "path.toml").write_text(blocks("docs/point.md", "toml")[0])
+    np.savetxt(tmp_path / "table.csv", [[0, 0.007], [0.1, 0.008]], delimiter=",", header="gamma,p", comments="")
+    path = read_path_file(tmp_path / "path.toml")
+    assert len(path.steps) == 4 + 8 + 2
+
+
+def test_the_scene_file_with_every_key_runs(tmp_path):
+    pytest.importorskip("dolfinx")
+    from granumat.fem import scene
+    text = blocks("docs/scene-files.md", "toml")[0].replace("until = 120", "until = 1").replace("cells = [16, 8]", "cells = [4, 2]")
+    (tmp_path / "scene.toml").write_text(text)
+    problem, files = scene.solve(tmp_path / "scene.toml", tmp_path / "out")
+    assert problem.t == 1 and len(files) == 4 and all(path.exists() for path in files)
+
+
+def test_the_first_block_of_readme_holds_the_two_commands():
+    commands = blocks("README.md", "sh")[0].split("\n")[:2]
+    assert commands == ["./demos/run.sh", "./tests/run.sh"]
+    for command in commands:
+        assert (ROOT / command).stat().st_mode & 0o100
+
+
+def test_every_command_is_in_the_table_of_commands():
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), pytest.raises(SystemExit):
+        cli.main(["--help"])
+    commands = re.search(r"\{([a-z,]+)\}", printed.getvalue())[1].split(",")
+    assert sorted(re.findall(r"^\| `granumat ([a-z]+)", PAGES["docs/getting-started.md"], re.M)) == sorted(commands)
+
+
+# ---- what is named ---------------------------------------------------------------------------------------------------
+
+def anchors(text):
+    """The anchors that hosting pages and Sphinx give to the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", text, flags=re.M | re.S), re.M)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_link_and_picture_of_a_page_exists(page):
+    for target in re.findall(r"\]\(([^()\s]+)\)", PAGES[page]):
+        if not target.startswith("http"):
+            name, _, anchor = target.partition("#")
+            path = (ROOT / page).parent / name if name else ROOT / page
+            assert path.is_file(), target
+            assert not anchor or anchor in anchors(path.read_text()), target
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/where-things-are.md"])
+def test_every_file_of_the_map_exists(page):
+    rows = "\n".join(line for line in PAGES[page].split("\n") if line.startswith("|"))
+    named = re.findall(r"`((?:fortran|python|demos|tests|docs|cmake)\b[\w./-]*|CMakeLists.txt)`", rows)
+    assert len(named) > 12
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_demo_scene_and_test_that_a_page_names_exists(page):
+    named = re.findall(r"\b(?:demos|tests)/[\w./-]+\.(?:py|toml|f90|sh)\b", PAGES[page])
+    assert [name for name in named if not (ROOT / name).is_file()] == []
+
+
+def test_every_picture_of_the_demos_is_shown():
+    shown = {Path(target).name for text in PAGES.values() for target in re.findall(r"!\[[^]]*\]\(([^()]+)\)", text)}
+    assert {path.name for path in (ROOT / "demos/pictures").iterdir()} <= shown
+
+
+def test_the_page_of_the_c_interface_names_what_the_header_declares():
+    declared = re.findall(r"^void (\w+)\(", (ROOT / "fortran/faces/granumat.h").read_text(), re.M)
+    named = re.findall(r"`(granumat_\w+)(?:\([^`]*\))?`", PAGES["docs/c-interface.md"])
+    assert set(named) - {"granumat_state"} == set(declared)
+
+
+def test_constants_follow_from_mu_as_the_page_says():
+    rows = re.findall(r"^\| (?:`(\w+)`)? ?\| [^|]*?(?:calibration `([\w-]+)`)? \| ([-\d][^|,]*|0\.1 mu) \|$",
+                      PAGES["docs/closures-and-limits.md"], re.M)
+    checked = []
+    for name, calibration, formula in rows:
+        name = name or checked[-1]
+        for mu in (0.0, 0.3, 1.0):
+            value = eval(formula.replace("0.1 mu", "0.1 * mu").replace(" exp", " * exp").replace(" mu)", " * mu)"),
+                         {"exp": np.exp, "mu": mu})
+            assert Material(mu, calibration=calibration or "table-1")[name] == pytest.approx(value, abs=1e-14), (name, mu)
+        checked.append(name)
+    assert checked == ["a1", "a2", "a3", "a4", "a4", "a4", "b1", "b2", "Zc", "phic", "elastic_strain"]
+
+
+def test_the_chart_page_names_the_cases():
+    table = PAGES["docs/method-chart.md"].split("| case | what happens |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `([\w-]+)`", table, re.M) == list(CASES)
+
+
+# ---- the site --------------------------------------------------------------------------------------------------------
+
+def test_the_site_builds_without_a_warning(tmp_path):
+    built = subprocess.run([DOCS / "build.sh", tmp_path], capture_output=True, text=True)
+    assert built.returncode == 0, built.stdout + built.stderr
+    pages = {str(path.relative_to(tmp_path).with_suffix("")) for path in tmp_path.rglob("*.html")}
+    assert pages >= {page.removeprefix("docs/").removesuffix(".md") for page in PAGES.keys() - {"README.md"}}
