@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-import reference
 from granumat import STATE, Material, tensors
+from support import reference
 
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
 

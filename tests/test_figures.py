@@ -5,7 +5,7 @@ import pytest
 
 from granumat import Material
 from granumat.studies import figures
-from reference import constants
+from support.reference import constants
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from granumat import Material
-from granumat import STATE
-from umat_host import BUILD
+from granumat import STATE, Material
+from support.umat_host import BUILD
 
 ROOT = Path(__file__).parents[1]
 UMAT = (ROOT / "fortran" / "umat.f90").read_text()

@@ -5,8 +5,8 @@ import csv
 import numpy as np
 import pytest
 
-from granumat.studies import wellposed
 from granumat.cli import main
+from granumat.studies import wellposed
 
 
 @pytest.mark.parametrize("mu, closure, eta_t, plane, space, lasts", [
