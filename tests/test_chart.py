@@ -11,6 +11,8 @@ from granumat.cli import main
 from granumat.studies import chart, rate_form
 from support import reference
 
+pytestmark = [pytest.mark.slow, pytest.mark.release_only]
+
 
 @pytest.fixture(scope="module")
 def reversal():

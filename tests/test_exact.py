@@ -1,4 +1,4 @@
-"""The update is exact: against an adaptive 8th-order solution of the paper's rate equations (reference.py)."""
+"""The update is exact: against an adaptive 8th-order solution of the paper's rate equations (support/reference.py)."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from granumat import STATE, Material, tensors
 from support import reference
 
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
+STIFF = pytest.param(1e-4, marks=[pytest.mark.slow, pytest.mark.release_only])       # for SciPy
 
 
 def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0, across=False, isotropic=False,
@@ -64,7 +65,7 @@ def test_error_stays_below_1e_10_across_phic(shear):
 
 
 @pytest.mark.parametrize("shear", [0.002, 0.02, 0.1])
-@pytest.mark.parametrize("elastic_strain", [1e-1, 1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("elastic_strain", [1e-1, 1e-2, 1e-3, STIFF])
 def test_error_stays_below_1e_8_with_an_elastic_strain(elastic_strain, shear):
     worst = errors(5, 100, shear, elastic_strain=elastic_strain)
     assert worst.pop("stress") < 1e-8
@@ -113,6 +114,6 @@ def test_a_stress_that_does_not_relax_turns_with_the_spin():
 
 
 @pytest.mark.parametrize("shear", [1e-3, 0.02, 0.1])
-@pytest.mark.parametrize("elastic_strain", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("elastic_strain", [1e-2, 1e-3, STIFF])
 def test_error_stays_below_1e_8_from_an_isotropic_packing(elastic_strain, shear):
     assert max(errors(8, 100, shear, elastic_strain=elastic_strain, isotropic=True).values()) < 1e-8
