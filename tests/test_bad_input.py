@@ -21,11 +21,14 @@ def spoiled(rng, values, probability):
     return values
 
 
-def check(par, old, gradient):
-    """One update through the core; returns its status."""
+def check(par, old, gradient, scheme=None):
+    """One update through the core, if given by a scheme of integration; returns its status."""
     new, status = np.full((1, 20), np.nan), np.full(1, -1, np.int32)
     kept = old.tobytes()
-    core.update(par, old, gradient, new, status, 1)
+    if scheme is None:
+        core.update(par, old, gradient, new, status, 1)
+    else:
+        core.update_by_method(par, scheme, old, gradient, new, status, 1)
     assert old.tobytes() == kept
     if status[0]:
         assert new.tobytes() == kept

@@ -81,7 +81,7 @@ def test_abs_a_below_the_limit_always_decays_and_above_it_some_direction_grows(r
 
 
 def test_huge_increments_are_refused_not_truncated(material):
-    with pytest.raises(MaterialError, match="more than 10000 inner steps"):
+    with pytest.raises(MaterialError, match="more than 10000 substeps"):
         material.update(material.steady(0.60), 1e6 * SHEAR)
 
 

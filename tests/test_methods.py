@@ -166,12 +166,12 @@ def test_2000_random_property_sets_states_and_increments_never_give_nan(rng, met
     done = 0
     for _ in range(2000):
         par = core.parameters_from_friction(rng.random(), *(int(k) for k in rng.integers(0, (len(CLOSURES), len(CONTACTS), 3))))
-        core.set_method(par, method, spin, 10.0 ** rng.uniform(-8, -0.01))
+        scheme = method, spin, 10.0 ** rng.uniform(-8, -0.01)
         level = rng.choice([0.0, 0.03, 0.2])
         par[:20] = spoiled(rng, par[:20], level)
         core.complete_parameters(par)
         gradient = spoiled(rng, rng.normal(size=(1, 3, 3)) * 10.0 ** rng.uniform(-6, 0), rng.choice([0.0, 0.05, 0.3]))
-        done += check(par, spoiled(rng, steady, level), gradient) == 0
+        done += check(par, spoiled(rng, steady, level), gradient, scheme) == 0
     assert done > 200
 
 
@@ -181,9 +181,8 @@ def test_unknown_methods_are_refused_by_name_all_at_once_and_by_the_core():
     for words in ("method 'rk5'", "did you mean 'rk4'", "spin 'after'", "method_tolerance = 0: must be a number in (0, 1)"):
         assert words in str(caught.value)
     for wrong in ((6, 0, 1e-6), (-1, 0, 1e-6), (0, 2, 1e-6), (0, 0, np.nan), (0, 0, 1.0)):
-        par = np.array(Material()._par)
-        core.set_method(par, *wrong)
-        assert check(par, np.array([Material().steady(0.6)]).view(float).reshape(1, 20), 0.01 * SHEAR[None]) == 2
+        steady = np.array([Material().steady(0.6)]).view(float).reshape(1, 20)
+        assert check(np.array(Material()._par), steady, 0.01 * SHEAR[None], wrong) == 2
 
 
 def test_a_path_file_names_its_method(tmp_path):

@@ -12,7 +12,7 @@ from granumat import STATE, Material
 from support.umat_host import BUILD
 
 ROOT = Path(__file__).parents[1]
-UMAT = (ROOT / "fortran" / "umat.f90").read_text()
+UMAT = (ROOT / "fortran" / "faces" / "umat.f90").read_text()
 SOURCE = BUILD / "granumat_umat.f90"
 LINKING = ROOT / "demos" / "linking"
 
@@ -150,8 +150,8 @@ def test_pkg_config_finds_both_libraries(prefix, tmp_path):
 
 def test_the_header_declares_what_the_library_has(tmp_path):
     """Procedures exist, and the structures have the Fortran types' sizes."""
-    header = (ROOT / "fortran" / "granumat.h").read_text()
-    declared = set(re.findall(r"void (core_\w+)\(", header))
+    header = (ROOT / "fortran" / "faces" / "granumat.h").read_text()
+    declared = set(re.findall(r"void (granumat_\w+)\(", header))
     exported = {name for _, name in symbols("-D", "--defined-only", BUILD / "python" / "granumat" / "libgranumat_core.so")}
     assert declared and declared <= exported
     assert all(name.startswith("core_") for name in exported)

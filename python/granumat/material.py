@@ -112,7 +112,7 @@ class Material:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
-        core.set_method(par, method_number, spin_number, method_tolerance)
+        self._scheme = method_number, spin_number, method_tolerance
         self._par = par
         self._par.flags.writeable = False
         self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
@@ -136,6 +136,11 @@ class Material:
     def definition(self):
         """The arguments that make this material, as the [material] table of a path file."""
         return dict(self._given)
+
+    @property
+    def is_exact(self):
+        """Whether increments are integrated exactly, not by a method that is to be compared."""
+        return self.method == "exact" and self.spin == "inside"
 
     # ---- states ----------------------------------------------------------------------------------------------------
 
@@ -299,10 +304,12 @@ class Material:
             old = old.copy()                                     # the core may not read what it writes
         status = np.zeros(old.size, np.int32)
         arguments = self._par, old, gradient.reshape(-1, 3, 3), new.reshape(-1), status
-        if tangent is None:
-            core.update(*arguments, threads)
-        else:
+        if tangent is not None:
             core.update_with_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]), threads)
+        elif self.is_exact:
+            core.update(*arguments, threads)
+        if not self.is_exact:
+            core.update_by_method(self._par, self._scheme, *arguments[1:], threads)
         records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         if status.any():
             first = int(np.flatnonzero(status)[0])
@@ -405,7 +412,7 @@ class Material:
         status : int
             0, or why fewer than n increments were done.
         """
-        return core.follow_path(self._par, np.array(state, STATE).reshape(1), gradients, modes, functionals, targets, tolerance)
+        return core.follow_path(self._par, self._scheme, np.array(state, STATE).reshape(1), gradients, modes, functionals, targets, tolerance)
 
 
 class Ellipticity(NamedTuple):

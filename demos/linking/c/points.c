@@ -8,10 +8,10 @@ enum { POINTS = 5, INCREMENTS = 100 };
 int main(void)
 {
     struct granumat_parameters par;
-    core_parameters(0.5, GRANUMAT_FULL, GRANUMAT_HOOKEAN, GRANUMAT_TABLE_1, &par);
+    granumat_parameters_from_friction(0.5, GRANUMAT_FULL, GRANUMAT_HOOKEAN, GRANUMAT_TABLE_1, &par);
     par.elastic_strain = 0.01;
     int faulty[GRANUMAT_CONSTANTS], valid;
-    core_complete(&par, faulty, &valid);
+    granumat_complete_parameters(&par, faulty, &valid);
     if (!valid)
         return 1;
 
@@ -24,15 +24,15 @@ int main(void)
         old[i].coordination_number = par.Zc + 1;
         gradient[i][0][2] = 0.01;                          /* du_x/dz */
     }
-    core_evaluate(POINTS, &par, old, eta);                 /* the stress of these isotropic packings */
+    granumat_evaluate_stress(POINTS, &par, old, eta);                 /* the stress of these isotropic packings */
 
     int status[POINTS];
     for (int k = 0; k < INCREMENTS; k++) {
-        core_tangent(POINTS, 2, 6, 6, &par, old, gradient, new_states, status, &tangent[0][0][0]);
+        granumat_update_states_with_tangent(POINTS, 2, 6, 6, &par, old, gradient, new_states, status, &tangent[0][0][0]);
         for (int i = 0; i < POINTS; i++)
             if (status[i]) {
                 char message[GRANUMAT_MESSAGE];
-                core_message(status[i], message);
+                granumat_status_message(status[i], message);
                 fprintf(stderr, "point %d: %.*s\n", i, GRANUMAT_MESSAGE, message);
                 return 1;
             }

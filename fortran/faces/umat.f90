@@ -4,16 +4,17 @@
 !! read, DROT and DFGRD only if PROPS asks for them, STRESS only where a state starts. The stress of the last increment is
 !! kept in STATEV, where no host rotates anything, so it does not matter whether the STRESS that is handed in has been rotated.
 module granumat_umat
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
     PLANE_STRESS
-  use granumat_coordination, only: excess_coordination
+  use granumat_law, only: excess_target
+  use granumat_matrices, only: gradient_logarithm, polar_rotation, rotation_logarithm
   use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, CRITICAL, FIGURE_16, HERTZIAN, &
     KINEMATIC
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_stress, only: evaluate
-  use granumat_tangent, only: N_COLUMNS, PULLED_IN_SPACE, PULLED_IN_PLANE
-  use granumat_tensors, only: LANES, product_symmetric, rotate
+  use granumat_tangent, only: N_COLUMNS, N_ADJOINTS_3D, N_ADJOINTS_PLANE
+  use granumat_tensors, only: product_symmetric, rotate
   use granumat_update, only: update
   implicit none (type, external)
   private
@@ -44,13 +45,8 @@ module granumat_umat
   integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3, SPIN_CALCULIX = 4
 
   real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
-  real(dp), parameter :: ROTATION_ERROR = 1.0e-6_dp        ! of R^T R - I: hosts that store single precision reach 1e-7
   real(dp), parameter :: NO_STRAIN = 1.0e-13_dp            ! below it a strain has no direction, only the host's round-off
   real(dp), parameter :: LARGEST_ANGLE = 3.0_dp            ! below pi, where the logarithm of a rotation is not unique
-  real(dp), parameter :: SERIES_FROM = 0.2_dp              ! largest entry of f - I from which its logarithm is a short series
-  integer, parameter :: SERIES_TERMS = 12                  ! (SERIES_FROM/2 * 3/2)^(2 * 12) is far below round-off
-  integer, parameter :: MAX_ROOTS = 8, MAX_ITERATIONS = 20
-  real(dp), parameter :: ROOT_CONVERGED = 1.0e-8_dp        ! the iteration converges quadratically: the next change is its square
 
 contains
 
@@ -68,7 +64,8 @@ contains
     type(material_parameters) :: par
     type(material_state) :: old, new(1)
     type(lane_state) :: x, x_new
-    real(dp) :: given(N_PROPS), strain(6), spin(3), tangent(LANES, 6, N_COLUMNS), slope(6, 6), unit(6), R(3, 3), back(3, 3)
+    real(dp) :: given(N_PROPS), strain(6), spin(3), tangent(LANES, 6, N_COLUMNS), slope(6, 6), basis(6)
+    real(dp) :: lanes_R(LANES, 3, 3), R(3, 3), R_T(3, 3)
     integer :: lane_status(LANES), n, j
 
     n = size(stress)
@@ -79,7 +76,7 @@ contains
     if (status == OK) then
       call gather([old], x)
       call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, &
-        merge(PULLED_IN_PLANE, PULLED_IN_SPACE, n == 4), tangent)
+        merge(N_ADJOINTS_PLANE, N_ADJOINTS_3D, n == 4), tangent)
       slope = tangent(1, :, :6)
       status = lane_status(1)
     end if
@@ -89,13 +86,14 @@ contains
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
       call write_state(new(1), statev)
       if (nint(given(P_SPIN)) >= SPIN_UNROTATED) then
-        R = polar_rotation(dfgrd1)
-        back = transpose(R)
-        new(1)%stress = turned(back, new(1)%stress)
+        lanes_R = polar_rotation(spread(dfgrd1, 1, LANES))
+        R = lanes_R(1, :, :)
+        R_T = transpose(R)
+        new(1)%stress = rotated(R_T, new(1)%stress)
         do j = 1, n
-          unit = 0
-          unit(j) = 1
-          slope(:, j) = turned(back, matmul(tangent(1, :, :6), turned_strain(R, unit)))
+          basis = 0
+          basis(j) = 1
+          slope(:, j) = rotated(R_T, matmul(tangent(1, :, :6), rotated_strain(R, basis)))
         end do
         if (nint(given(P_SPIN)) == SPIN_CALCULIX) call take_to_reference(dfgrd1, new(1)%stress, slope(:, :n))
       end if
@@ -107,7 +105,7 @@ contains
     if (size(statev) >= N_STATEV) statev(S_STATUS) = status
   end subroutine advance
 
-  !> stress = stress unit times strain.
+  !> The tangent of a failed call: the stress unit times the strain.
   pure subroutine stiffness_of_failure(props, ddsdde)
     real(dp), intent(in) :: props(:)
     real(dp), intent(out) :: ddsdde(:, :)
@@ -168,96 +166,24 @@ contains
     real(dp), intent(in), optional :: drot(3, 3), dfgrd0(3, 3), dfgrd1(3, 3)
     real(dp), intent(out) :: strain(6), spin(3)
     integer, intent(inout) :: status
-    real(dp) :: L(3, 3)
-    logical :: found
+    real(dp) :: lanes_L(LANES, 3, 3), L(3, 3)
+    logical :: found(LANES)
 
     strain = 0
     strain(:size(dstran)) = dstran
-    L = 0
+    lanes_L = 0
     found = spin_from == SPIN_NONE
-    if (spin_from == SPIN_DROT .and. present(drot)) call rotation_logarithm(drot, L, found)
-    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) then
-      call gradient_logarithm(dfgrd0, dfgrd1, L, found)
+    if (spin_from == SPIN_DROT .and. present(drot)) call rotation_logarithm(spread(drot, 1, LANES), lanes_L, found)
+    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) &
+      call gradient_logarithm(spread(dfgrd0, 1, LANES), spread(dfgrd1, 1, LANES), lanes_L, found)
+    L = lanes_L(1, :, :)
+    if (spin_from >= SPIN_DFGRD) then
       strain = [L(1, 1), L(2, 2), L(3, 3), L(1, 2) + L(2, 1), L(1, 3) + L(3, 1), L(2, 3) + L(3, 2)]
     end if
     if (all(abs(strain) < NO_STRAIN)) strain = 0
     spin = [L(1, 2) - L(2, 1), L(1, 3) - L(3, 1), L(2, 3) - L(3, 2)] / 2
-    if (.not. (found .and. norm2(spin) < LARGEST_ANGLE)) status = BAD_DEFORMATION
+    if (.not. (found(1) .and. norm2(spin) < LARGEST_ANGLE)) status = BAD_DEFORMATION
   end subroutine read_increment
-
-  !> log R of a rotation.
-  pure subroutine rotation_logarithm(R, W, found)
-    real(dp), intent(in) :: R(3, 3)
-    real(dp), intent(out) :: W(3, 3)
-    logical, intent(out) :: found
-    real(dp) :: sine, cosine
-
-    W = (R - transpose(R)) / 2
-    sine = norm2([W(1, 2), W(1, 3), W(2, 3)])
-    cosine = (R(1, 1) + R(2, 2) + R(3, 3) - 1) / 2
-    found = all(abs(matmul(transpose(R), R) - identity()) < ROTATION_ERROR) &
-      .and. abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR &    ! which a reflection does not fulfil
-      .and. (sine > 0 .or. cosine > 0)                         ! nor half a turn this
-    if (sine > 0) W = W * (atan2(sine, cosine) / sine)
-  end subroutine rotation_logarithm
-
-  !> log f of f = F1 F0^-1, by 2 artanh((f - I) (f + I)^-1) after as many square roots as that series needs.
-  pure subroutine gradient_logarithm(F0, F1, L, found)
-    real(dp), intent(in) :: F0(3, 3), F1(3, 3)
-    real(dp), intent(out) :: L(3, 3)
-    logical, intent(out) :: found
-    real(dp) :: f(3, 3), change(3, 3), X(3, 3), square(3, 3), reciprocal(3, 3)
-    integer :: roots, k
-
-    reciprocal = inverse(F0)
-    change = matmul(F1 - F0, reciprocal)                 ! f - I, without cancellation
-    f = identity() + change
-    do roots = 0, MAX_ROOTS
-      found = all(abs(change) <= SERIES_FROM)
-      if (found .or. roots == MAX_ROOTS) exit
-      call take_root(f)
-      change = f - identity()
-    end do
-    reciprocal = inverse(f + identity())
-    X = matmul(change, reciprocal)
-    square = matmul(X, X)
-    L = identity() / (2 * SERIES_TERMS + 1)
-    do k = SERIES_TERMS - 1, 0, -1
-      L = matmul(square, L) + identity() / (2 * k + 1)
-    end do
-    L = scale(matmul(X, L), roots + 1)
-  end subroutine gradient_logarithm
-
-  !> The square root of a matrix: E. D. Denman, A. N. Beavers, Appl. Math. Comput. 2 (1976) 63-94.
-  pure subroutine take_root(f)
-    real(dp), intent(inout) :: f(3, 3)
-    real(dp) :: reciprocal(3, 3), next(3, 3), change
-    integer :: k
-
-    reciprocal = identity()
-    do k = 1, MAX_ITERATIONS
-      next = (f + inverse(reciprocal)) / 2
-      reciprocal = (reciprocal + inverse(f)) / 2
-      change = maxval(abs(next - f))
-      f = next
-      if (change < ROOT_CONVERGED) exit
-    end do
-  end subroutine take_root
-
-  !> R of F = R U: N. J. Higham, SIAM J. Sci. Stat. Comput. 7 (1986) 1160-1174.
-  pure function polar_rotation(F) result(R)
-    real(dp), intent(in) :: F(3, 3)
-    real(dp) :: R(3, 3), next(3, 3), change
-    integer :: k
-
-    R = F
-    do k = 1, MAX_ITERATIONS
-      next = (R + transpose(inverse(R))) / 2
-      change = maxval(abs(next - R))
-      R = next
-      if (change < ROOT_CONVERGED) exit
-    end do
-  end function polar_rotation
 
   !> From the derivative of the unrotated stress to U (dS/dE) U U, which CalculiX pulls back by U^-1 into the derivative dS/dE of
   !! its stress S = J U^-1 stress U^-1 by Lagrange's strain: J (tangent + stress tr D - stress D - D stress), column D by column.
@@ -277,41 +203,20 @@ contains
   end subroutine take_to_reference
 
   !> R T R^T of one tensor.
-  pure function turned(R, T) result(new)
+  pure function rotated(R, T) result(new)
     real(dp), intent(in) :: R(3, 3), T(6)
     real(dp) :: new(6), lanes_new(LANES, 6)
     lanes_new = rotate(spread(R, 1, LANES), spread(T, 1, LANES))
     new = lanes_new(1, :)
-  end function turned
+  end function rotated
 
   !> R E R^T of strains with engineering shears.
-  pure function turned_strain(R, strain) result(new)
+  pure function rotated_strain(R, strain) result(new)
     real(dp), intent(in) :: R(3, 3), strain(6)
     real(dp) :: new(6)
-    new = turned(R, [strain(:3), strain(4:) / 2])
+    new = rotated(R, [strain(:3), strain(4:) / 2])
     new(4:) = 2 * new(4:)
-  end function turned_strain
-
-  pure function identity() result(I)
-    real(dp) :: I(3, 3)
-    I = reshape([1.0_dp, 0.0_dp, 0.0_dp, 0.0_dp, 1.0_dp, 0.0_dp, 0.0_dp, 0.0_dp, 1.0_dp], [3, 3])
-  end function identity
-
-  !> M^-1; not finite if there is none.
-  pure function inverse(M) result(N)
-    real(dp), intent(in) :: M(3, 3)
-    real(dp) :: N(3, 3)
-    integer :: j, a, b
-
-    do j = 1, 3                                          ! columns of the adjugate's transpose, cyclic
-      a = 1 + mod(j, 3)
-      b = 1 + mod(j + 1, 3)
-      N(j, 1) = M(2, a) * M(3, b) - M(2, b) * M(3, a)
-      N(j, 2) = M(3, a) * M(1, b) - M(3, b) * M(1, a)
-      N(j, 3) = M(1, a) * M(2, b) - M(1, b) * M(2, a)
-    end do
-    N = N / dot_product(M(:, 1), N(1, :))
-  end function inverse
+  end function rotated_strain
 
   !> The state in STATEV; where its sentinel is 0, the initial one.
   pure subroutine read_state(par, given, stress, statev, x, status)
@@ -364,7 +269,7 @@ contains
       .or. par%closure == CRITICAL .and. abs(given(P_PRESSURE)) > 0) status = BAD_INITIAL_STATE
     x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=given(P_PHI))
     if (status /= OK) return
-    f = excess_coordination(par, spread(given(P_PHI) - par%phic, 1, LANES))
+    f = excess_target(par, spread(given(P_PHI) - par%phic, 1, LANES))
     if (p > 0) f = sqrt(merge(p**(2.0_dp / 3), p, par%contact == HERTZIAN) / par%a1)
     x%coordination_number = par%Zc + f(1)
     call gather([x], lanes_x)

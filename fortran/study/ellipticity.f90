@@ -1,4 +1,4 @@
-!> Well-posedness of the law at a state: the transverse modulus, and the acoustic tensor over all normals.
+!> Well-posedness of the law at a state: transverse modulus, and acoustic tensor over all normals (docs/theory.md, section 8).
 !!
 !! The microstructure A, Z2, phi is frozen (A = lambda S^ of the critical closure is not), D is the state's D^ with |D| = 1,
 !! and everything is in units of p. The response C is
@@ -7,15 +7,15 @@
 !!            of (4.2) with (4.7), (4.8).
 !! Q(n) takes v to the traction on n when grad v changes by v n: Q_il = n_j C_ijkl n_k, and for e_r > 0 that of the spin,
 !! ((n . sigma n) I - sigma + (sigma n) n - n (sigma n))/2. For e_r = 0 the pressure is free (the volume is kept by a bulk stiffness
-!! of some 90 p), so v is normal to n and Q a matrix of two by two.
+!! of some 90 p), so v is normal to n and Q is a 2 x 2 matrix.
 module granumat_ellipticity
   use, intrinsic :: ieee_arithmetic, only: ieee_quiet_nan, ieee_value
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
+  use granumat_law, only: coordination_rate, excess_target, excess_target_slope, fabric_rate
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state
-  use granumat_coordination, only: excess_coordination
-  use granumat_stress, only: evaluate, friction, pressure_change, pressure_slopes, deviator_slopes, stress_deviator
-  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_matrix, six, times, trace
+  use granumat_stress, only: evaluate, friction, pressure_derivative, pressure_slopes, deviator_slopes, stress_deviator
+  use granumat_tensors, only: VOIGT, add_identity, contract, deviator, magnitude, product_matrix, times, to_voigt, trace
   implicit none (type, external)
   private
   public :: transverse_modulus, response_of, least_over_normals
@@ -28,16 +28,16 @@ module granumat_ellipticity
   integer, parameter :: N_SWEEPS = 5                    ! of Jacobi's method: 3 x 3 matrices are then diagonal to round-off
   real(dp), parameter :: NEIGHBOURS = 0.965_dp          ! cosine of the angle, 15 degrees, within which normals are neighbours
   real(dp), parameter :: FIRST_RADIUS = 0.1_dp          ! of a ring, in radians
-  real(dp), parameter :: LAST_RADIUS = 1.0e-6_dp        ! differences are below round-off there
+  real(dp), parameter :: LAST_RADIUS = 1.0e-6_dp        ! where differences of values are below round-off
   real(dp), parameter :: SHRINK = 0.25_dp               ! of the radius, at most, from one ring to the next
   real(dp), parameter :: LONGEST_STEP = 4               ! of Newton's method, in radii
   real(dp), parameter :: PI = acos(-1.0_dp)
   real(dp), parameter :: GOLDEN_ANGLE = PI * (3 - sqrt(5.0_dp))
 
-  !> How the stress answers to a change of the velocity gradient.
+  !> The response of the stress to a change of the velocity gradient.
   type, public :: response
     real(dp) :: C(LANES, 6, 6)      ! (:, i, k): stress component i to the k-th strain, engineering shears
-    real(dp) :: carried(LANES, 6)   ! the stress that the spin carries along; 0 for e_r = 0
+    real(dp) :: corotating(LANES, 6)  ! the stress that rotates with the spin; 0 for e_r = 0
     logical :: isochoric            ! whether v is normal to n
   end type response
 
@@ -71,8 +71,8 @@ contains
     call evaluate(par, model, p)
     p = -trace(model%stress) / 3
     law%isochoric = .not. par%elastic_strain > 0
-    law%carried = 0
-    if (.not. law%isochoric) law%carried = six(times(1 / max(p, tiny(p)), deviator(x%stress)))
+    law%corotating = 0
+    if (.not. law%isochoric) law%corotating = to_voigt(times(1 / max(p, tiny(p)), deviator(x%stress)))
     undefined = .not. sum(abs(x%direction), 2) > 0 .or. (.not. law%isochoric .and. .not. p > 0)
     do k = 1, 6
       E = 0
@@ -94,7 +94,7 @@ contains
     real(dp), dimension(LANES, 5) :: A, S_hat, d_A, d_S_hat, d_dev
     real(dp), dimension(LANES, 5, 5) :: by_A, by_S_hat
     real(dp), dimension(LANES) :: p, d_p, d_mod, one
-    type(pressure_change) :: by
+    type(pressure_derivative) :: by
     integer :: k
 
     p = -trace(model%stress) / 3
@@ -119,7 +119,7 @@ contains
       d_dev = (d_dev + times(d_mod / max(p, tiny(p)), deviator(model%stress) - dev)) / par%elastic_strain
       d_p = pressure_rate_change(par, model, d_mod, E) / max(p, tiny(p))
     end if
-    d_stress = add_identity(six(d_dev), -d_p)
+    d_stress = add_identity(to_voigt(d_dev), -d_p)
   end function change
 
   !> Change of dp/dt when D changes by E, from (4.2), (4.7), (4.8); g's part, a jump of p and not a rate, is left out.
@@ -127,24 +127,25 @@ contains
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: model
     real(dp), intent(in) :: d_mod(LANES), E(LANES, 6)
-    real(dp), dimension(LANES) :: d_dot_p, A_E, distance, excess, missing, d_mod_S, d_dot_Z2
+    real(dp), dimension(LANES) :: d_dot_p, distance, excess, missing, d_mod_S, d_dot_Z2
     real(dp), dimension(LANES, 5) :: A, S_hat, d_S, d_dot_A
-    type(pressure_change) :: by
+    real(dp) :: no_spin(LANES, 3)
+    type(pressure_derivative) :: by
 
     excess = model%coordination_number - par%Zc
     distance = model%volume_fraction - par%phic
     A = deviator(model%fabric)
     if (par%closure == CRITICAL) then
       d_dot_A = 0
-      d_dot_Z2 = -par%beta2 * excess_coordination(par, distance) / max(distance, tiny(distance)) * model%volume_fraction * trace(E)
+      d_dot_Z2 = -excess_target_slope(par, distance) * model%volume_fraction * trace(E)
     else
       S_hat = deviator(model%direction)
       d_S = deviator(E)
-      A_E = contract(A, d_S)
-      d_dot_A = par%c1 * d_S + times(par%c2 * d_mod + par%c3 * A_E, A)                                           ! (4.7)
-      d_mod_S = contract(S_hat, d_S) / (2 * max(modulus(S_hat), tiny(A_E)))
-      missing = excess_coordination(par, distance) - excess
-      d_dot_Z2 = par%d1 * (A_E - par%chi * d_mod_S) + par%d2 * d_mod * missing + par%d3 * trace(E)               ! (4.8)
+      no_spin = 0
+      d_dot_A = fabric_rate(par, A, d_S, d_mod, no_spin)                 ! the rates are linear in S, |S|, |D| and tr D
+      d_mod_S = contract(S_hat, d_S) / (2 * max(magnitude(S_hat), tiny(d_mod)))
+      missing = excess_target(par, distance) - excess
+      d_dot_Z2 = coordination_rate(par, contract(A, d_S), d_mod_S, d_mod, missing, trace(E))
     end if
     by = pressure_slopes(par, A, trace(model%direction), excess)
     d_dot_p = by%A * contract(A, d_dot_A) + by%excess * d_dot_Z2
@@ -285,6 +286,7 @@ contains
     second(:, 3) = -n(:, 2)
   end subroutine transverse
 
+  !> The unit normal that differs from n by x and y along two vectors normal to it.
   pure function moved(n, first, second, x, y) result(there)
     real(dp), intent(in) :: n(LANES, 3), first(LANES, 3), second(LANES, 3), x(LANES), y(LANES)
     real(dp) :: there(LANES, 3)
@@ -318,21 +320,20 @@ contains
     type(response), intent(in) :: law
     real(dp), intent(in) :: n(LANES, 3)
     real(dp) :: Q(LANES, 3, 3), column(LANES, 6), t(LANES, 3), t_n(LANES)
-    integer, parameter :: AT(3, 3) = reshape([1, 4, 5, 4, 2, 6, 5, 6, 3], [3, 3])      ! component of a tensor's i, j
     integer :: i, k
 
     do k = 1, 3
       do i = 1, 6
-        column(:, i) = law%C(:, i, AT(1, k)) * n(:, 1) + law%C(:, i, AT(2, k)) * n(:, 2) + law%C(:, i, AT(3, k)) * n(:, 3)
+        column(:, i) = law%C(:, i, VOIGT(1, k)) * n(:, 1) + law%C(:, i, VOIGT(2, k)) * n(:, 2) + law%C(:, i, VOIGT(3, k)) * n(:, 3)
       end do
       Q(:, :, k) = on_plane(column)
     end do
     if (law%isochoric) return
-    t = on_plane(law%carried)
+    t = on_plane(law%corotating)
     t_n = sum(t * n, 2)
     do k = 1, 3
       do i = 1, 3
-        Q(:, i, k) = Q(:, i, k) + (t(:, i) * n(:, k) - n(:, i) * t(:, k) - law%carried(:, AT(i, k))) / 2
+        Q(:, i, k) = Q(:, i, k) + (t(:, i) * n(:, k) - n(:, i) * t(:, k) - law%corotating(:, VOIGT(i, k))) / 2
       end do
       Q(:, k, k) = Q(:, k, k) + t_n / 2
     end do
@@ -345,7 +346,7 @@ contains
       real(dp) :: vector(LANES, 3)
       integer :: j
       do j = 1, 3
-        vector(:, j) = T(:, AT(1, j)) * n(:, 1) + T(:, AT(2, j)) * n(:, 2) + T(:, AT(3, j)) * n(:, 3)
+        vector(:, j) = T(:, VOIGT(1, j)) * n(:, 1) + T(:, VOIGT(2, j)) * n(:, 2) + T(:, VOIGT(3, j)) * n(:, 3)
       end do
     end function on_plane
 

@@ -42,7 +42,7 @@ contains
     case (BAD_FABRIC)
       message = "the fabric is not realisable: eigenvalues of A + I/3 outside [0, 1], or A not traceless"
     case (INCREMENT_TOO_LARGE)
-      message = "the increment is beyond what one update integrates: more than 10000 inner steps"
+      message = "the increment is beyond what one update integrates: more than 10000 substeps"
     case (FABRIC_BLOWS_UP)
       message = "the fabric equation (4.7), or the method that integrates it, blows up within the increment"
     case (TENSILE_PRESSURE)

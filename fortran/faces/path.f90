@@ -1,15 +1,18 @@
-!> A path at one point: displacement gradient increments, some amplitudes of which are found so that stresses follow targets.
+!> A load path at one point: displacement gradient increments, some amplitudes of which are found so that stresses meet targets.
 !!
-!! An increment without free amplitudes is exact and taken at once. With them, the gradient is constant over inner steps that
-!! are cut until one step and its two halves agree (the free amplitudes are then piecewise linear: second order).
+!! An increment without free amplitudes is taken at once. With them, the gradient is constant over substeps of the increment, which
+!! are cut until one substep and its two halves agree; the free amplitudes are then piecewise linear in time, which is second order
+!! (docs/theory.md, section 9.5).
 module granumat_path
-  use granumat_batch, only: update_batch
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
+  use granumat_batch, only: update_batch, update_batch_by_method
+  use granumat_matrices, only: solve_linear
+  use granumat_methods, only: is_exact, scheme, update_by_method
   use granumat_parameters, only: material_parameters, are_valid
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
   use granumat_tangent, only: N_COLUMNS
-  use granumat_tensors, only: LANES, strain_and_spin
+  use granumat_tensors, only: strain_and_spin
   use granumat_update, only: update
   implicit none (type, external)
   private
@@ -17,22 +20,23 @@ module granumat_path
 
   integer, parameter :: MAX_ITERATIONS = 30, MAX_HALVINGS = 12
   real(dp), parameter :: STRESS_TOLERANCE = 1.0e-10_dp     ! of the largest stress at hand
-  real(dp), parameter :: STRESS_FLOOR = 1.0e-9_dp          ! k/d: below it a granular solid is at rest for every purpose
+  real(dp), parameter :: STRESS_FLOOR = 1.0e-9_dp          ! k/d: stresses below it count as zero
   real(dp), parameter :: SMALLEST_STEP = 1.0e-9_dp         ! of an increment, before the target counts as out of reach
   real(dp), parameter :: SAFETY = 0.9_dp, SHRINK = 0.2_dp, GROWTH = 4.0_dp
 
-  !> What is sought in every step: amplitudes q so that functional(:, k) . stress = target(k) under G + sum_k q_k mode(:, :, k).
+  !> What is sought in every substep: amplitudes q so that functional(:, k) . stress = target(k) under G + sum_k q_k mode(:, :, k).
   type :: control
     type(material_parameters) :: par
+    type(scheme) :: by
     real(dp), allocatable :: mode(:, :, :)       ! (3, 3, m)
     real(dp), allocatable :: columns(:, :)       ! (N_COLUMNS, m): strain and spin of each mode
     real(dp), allocatable :: functional(:, :)    ! (6, m): weights of stress 11 22 33 12 13 23
-    integer :: n_pulled                          ! what the functionals need of the tangent, see update
+    integer :: n_adjoints                        ! what the functionals need of the tangent, see update
   end type control
 
   integer, parameter :: MAX_MODES = 6
 
-  !> A step tried with amplitudes q(:m).
+  !> A substep tried with amplitudes q(:m).
   type :: trial
     real(dp) :: q(MAX_MODES), residual(MAX_MODES), jacobian(MAX_MODES, MAX_MODES)
     type(material_state) :: state
@@ -42,14 +46,15 @@ module granumat_path
 contains
 
   !> Follows n increments; what is computed before a failure stays valid.
-  subroutine follow_path(par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
+  subroutine follow_path(par, by, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status)
     type(material_parameters), intent(in) :: par
+    type(scheme), intent(in) :: by
     type(material_state), intent(in) :: start
     real(dp), intent(in) :: gradient(:, :, :)      ! (3, 3, n): (j, i) = du_i/dx_j of each increment
     real(dp), intent(in) :: mode(:, :, :)          ! (3, 3, m), m <= MAX_MODES
     real(dp), intent(in) :: functional(:, :)       ! (6, m)
     real(dp), intent(in) :: target(:, 0:)          ! (m, 0:n): at the start and after each increment, linear between
-    real(dp), intent(in) :: tolerance              ! on fabric/kappa, Z2 and phi in every inner step
+    real(dp), intent(in) :: tolerance              ! on fabric/kappa, Z2 and phi in every substep
     type(material_state), intent(out) :: states(:) ! (n): after each increment
     real(dp), intent(out) :: amplitude(:, :)       ! (m, n): found in each increment
     integer, intent(out) :: done, status           ! increments done; OK or why there are fewer than n
@@ -58,7 +63,7 @@ contains
     real(dp) :: step, rates(size(mode, 3))
     integer :: i, point_status(1)
 
-    law = control(par, mode, columns_of(mode), functional, pulled_for(functional))
+    law = control(par, by, mode, columns_of(mode), functional, adjoints_for(functional))
     state = start
     step = 1
     rates = 0
@@ -68,7 +73,11 @@ contains
     if (status /= OK) return
     do i = 1, size(gradient, 3)
       if (size(mode, 3) == 0) then
-        call update_batch(par, [state], gradient(:, :, i:i), 1, states(i:i), point_status)
+        if (is_exact(by)) then
+          call update_batch(par, [state], gradient(:, :, i:i), 1, states(i:i), point_status)
+        else
+          call update_batch_by_method(par, by, [state], gradient(:, :, i:i), 1, states(i:i), point_status)
+        end if
         status = point_status(1)
       else
         call controlled_increment(law, state, gradient(:, :, i), target(:, i - 1), target(:, i), tolerance, &
@@ -80,17 +89,18 @@ contains
     end do
   end subroutine follow_path
 
-  !> The pressure, and the components of the deviator up to the last that has a weight.
-  pure function pulled_for(functional) result(n_pulled)
+  !> How many adjoints functionals need: those of the pressure and of the deviator's components up to the last with a weight.
+  pure function adjoints_for(functional) result(n_adjoints)
     real(dp), intent(in) :: functional(:, :)
-    integer :: n_pulled
+    integer :: n_adjoints
     real(dp) :: weights(5, size(functional, 2))
     weights(1, :) = functional(1, :) - functional(2, :)
     weights(2, :) = 2 * functional(3, :) - functional(1, :) - functional(2, :)
     weights(3:, :) = functional(4:, :)
-    n_pulled = 1 + findloc(any(abs(weights) > 0, 2), .true., 1, back=.true.)
-  end function pulled_for
+    n_adjoints = 1 + findloc(any(abs(weights) > 0, 2), .true., 1, back=.true.)
+  end function adjoints_for
 
+  !> Strains and spins of modes.
   pure function columns_of(mode) result(columns)
     real(dp), intent(in) :: mode(:, :, :)
     real(dp) :: columns(N_COLUMNS, size(mode, 3)), strain(LANES, 6), spin(LANES, 3)
@@ -102,12 +112,12 @@ contains
     end do
   end function columns_of
 
-  !> One increment in as many inner steps as the tolerance asks for.
+  !> One increment in as many substeps as the tolerance asks for.
   pure subroutine controlled_increment(law, old, G, target_start, target_end, tolerance, step, rates, new, amplitude, status)
     type(control), intent(in) :: law
     type(material_state), intent(in) :: old
     real(dp), intent(in) :: G(3, 3), target_start(:), target_end(:), tolerance
-    real(dp), intent(inout) :: step, rates(:)       ! inner step and amplitudes per increment: kept as the next first guess
+    real(dp), intent(inout) :: step, rates(:)       ! substep, amplitudes per increment: kept as the next first guess
     type(material_state), intent(out) :: new
     real(dp), intent(out) :: amplitude(:)
     integer, intent(out) :: status
@@ -152,6 +162,7 @@ contains
 
   end subroutine controlled_increment
 
+  !> The largest difference of states in fabric/kappa, Z2 and phi.
   pure function distance(par, x, y) result(difference)
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: x, y
@@ -160,7 +171,7 @@ contains
       abs(x%coordination_number - y%coordination_number), abs(x%volume_fraction - y%volume_fraction))
   end function distance
 
-  !> Newton's method with line search for the amplitudes of one step, given and found as rates per increment.
+  !> Newton's method with line search for the amplitudes of one substep, given and found as rates per increment.
   pure subroutine solve_step(law, old, step, G, target, rates, new, status)
     type(control), intent(in) :: law
     type(material_state), intent(in) :: old
@@ -169,14 +180,13 @@ contains
     type(material_state), intent(out) :: new
     integer, intent(out) :: status
     type(trial) :: now, next
-    real(dp) :: change(size(rates)), scale, length
+    real(dp) :: change(LANES, size(rates)), determinant_sign(LANES), scale, length
     integer :: iteration, halving, m
-    logical :: regular
 
     m = size(rates)
     scale = max(maxval(abs(target)), maxval(abs(old%stress)), STRESS_FLOOR)
     call try(law, old, step, G, target, step * rates, now)
-    if (now%status /= OK) call try(law, old, step, G, target, 0 * rates, now)     ! the guess leads astray: start from none
+    if (now%status /= OK) call try(law, old, step, G, target, 0 * rates, now)     ! the guess failed: start from zero
     do iteration = 1, MAX_ITERATIONS
       status = now%status
       if (status /= OK) return
@@ -185,12 +195,12 @@ contains
         new = now%state
         return
       end if
-      change = -now%residual(:m)
-      call solve_linear(now%jacobian(:m, :m), change, regular)
-      if (.not. regular) exit
+      change = -spread(now%residual(:m), 1, LANES)
+      call solve_linear(spread(now%jacobian(:m, :m), 1, LANES), change, determinant_sign)
+      if (.not. abs(determinant_sign(1)) > 0) exit
       length = 1
       do halving = 1, MAX_HALVINGS
-        call try(law, old, step, G, target, now%q(:m) + length * change, next)
+        call try(law, old, step, G, target, now%q(:m) + length * change(1, :), next)
         if (next%status == OK .and. maxval(abs(next%residual(:m))) < maxval(abs(now%residual(:m)))) exit
         length = length / 2
       end do
@@ -200,7 +210,7 @@ contains
     status = TARGET_NOT_REACHED
   end subroutine solve_step
 
-  !> A step with amplitudes q: residual and, from the consistent tangent, Jacobian.
+  !> A substep with amplitudes q: its residual and, from the consistent tangent of the exact update, its Jacobian.
   pure subroutine try(law, old, step, G, target, q, found)
     type(control), intent(in) :: law
     type(material_state), intent(in) :: old
@@ -218,7 +228,8 @@ contains
     end do
     call gather([old], x)
     call strain_and_spin(total, strain, spin)
-    call update(law%par, x, strain, spin, x_new, status, law%n_pulled, tangent)
+    call update(law%par, x, strain, spin, x_new, status, law%n_adjoints, tangent)
+    if (.not. is_exact(law%by)) call update_by_method(law%par, law%by, x, strain, spin, x_new, status)
     call scatter(x_new, state)
     found%q(:m) = q
     found%status = status(1)
@@ -228,31 +239,5 @@ contains
       found%jacobian(:m, k) = matmul(matmul(tangent(1, :, :), law%columns(:, k)), law%functional)
     end do
   end subroutine try
-
-  !> Gaussian elimination with row pivoting; the solution replaces b.
-  pure subroutine solve_linear(matrix, b, regular)
-    real(dp), intent(inout) :: matrix(:, :), b(:)
-    logical, intent(out) :: regular
-    real(dp) :: factor
-    integer :: i, k, pivot, n
-
-    n = size(b)
-    regular = .false.
-    do k = 1, n
-      pivot = k - 1 + maxloc(abs(matrix(k:, k)), 1)
-      if (.not. abs(matrix(pivot, k)) > 0) return
-      matrix([k, pivot], :) = matrix([pivot, k], :)
-      b([k, pivot]) = b([pivot, k])
-      do i = k + 1, n
-        factor = matrix(i, k) / matrix(k, k)
-        matrix(i, k:) = matrix(i, k:) - factor * matrix(k, k:)
-        b(i) = b(i) - factor * b(k)
-      end do
-    end do
-    do k = n, 1, -1
-      b(k) = (b(k) - dot_product(matrix(k, k + 1:), b(k + 1:))) / matrix(k, k)
-    end do
-    regular = .true.
-  end subroutine solve_linear
 
 end module granumat_path

@@ -23,24 +23,17 @@ module granumat_parameters
     real(c_double) :: g               !! isotropic compression (B 1); the paper prints no value
     real(c_double) :: elastic_strain  !! e_r, strain over which the deviatoric stress relaxes; 0: the paper
     real(c_double) :: chi, kappa, lambda   !! steady values (A 7)-(A 9)
-    real(c_double) :: fabric_limit    !! abs(A) below it decays in every flow; above it some flows blow it up
+    real(c_double) :: fabric_limit    !! |A| below it decays in every flow; above it some flows blow it up
     integer(c_int) :: closure, contact
-    integer(c_int) :: method, spin    !! how increments are integrated
-    real(c_double) :: method_tolerance   !! of the embedded pair's relative error estimate
   end type material_parameters
 
   integer, parameter, public :: CRITICAL = 0, BASIC = 1, N2 = 2, FULL = 3, KINEMATIC = 4      ! closures
   integer, parameter, public :: HOOKEAN = 0, HERTZIAN = 1                                     ! contacts
   integer, parameter, public :: TABLE_1 = 0, TEXT = 1, FIGURE_16 = 2                          ! calibrations
 
-  integer, parameter, public :: EXACT = 0, FORWARD_EULER = 1, MIDPOINT = 2, RK4 = 3, BOGACKI_SHAMPINE = 4, &       ! methods
-    BACKWARD_EULER = 5
-  integer, parameter, public :: INSIDE = 0, BEFORE = 1                    ! spins: integrated with the rest, or a rotation first
-
-  real(dp), parameter :: METHOD_TOLERANCE = 1.0e-6_dp
   integer, parameter, public :: N_CONSTANTS = 20, NAME_LENGTH = 16
 
-  !> What a constant may be: between the bounds, on them too where closed.
+  !> The allowed values of a constant: those between the bounds, and the bounds themselves where the range is closed.
   type, public :: constant_range
     character(len=NAME_LENGTH) :: name
     real(dp) :: lower, upper
@@ -72,7 +65,7 @@ module granumat_parameters
 
 contains
 
-  !> The paper's constants for a friction coefficient; the closure sets those it does without to 0.
+  !> The paper's constants for a friction coefficient; constants that the closure does not use are set to 0.
   pure function parameters_from_friction(mu, closure, contact, calibration) result(par)
     real(dp), intent(in) :: mu
     integer, intent(in) :: closure, contact, calibration
@@ -99,9 +92,6 @@ contains
     par%elastic_strain = 0
     par%closure = int(closure, c_int)
     par%contact = int(contact, c_int)
-    par%method = EXACT
-    par%spin = INSIDE
-    par%method_tolerance = METHOD_TOLERANCE
 
     select case (calibration)
     case (TEXT)                                 ! the sentence about figure 16
@@ -152,14 +142,12 @@ contains
     faulty = .not. inside
   end function faulty_constants
 
-  !> Whether all constants are in range, what follows from them is finite, kappa positive, and the method known.
+  !> Whether all constants are in range, what follows from them is finite, and kappa is positive.
   pure function are_valid(par) result(valid)
     type(material_parameters), intent(in) :: par
     logical :: valid
     valid = .not. any(faulty_constants(par)) .and. all(abs([par%chi, par%kappa, par%lambda, par%fabric_limit]) <= huge(1.0_dp))
     if (valid) valid = par%kappa > 0
-    valid = valid .and. par%method >= EXACT .and. par%method <= BACKWARD_EULER .and. par%spin >= INSIDE .and. par%spin <= BEFORE &
-      .and. par%method_tolerance > 0 .and. par%method_tolerance < 1
   end function are_valid
 
 end module granumat_parameters

@@ -1,9 +1,9 @@
-!> What a material point remembers: 20 numbers, 160 bytes, the same in Fortran, C and numpy; and LANES points side by side.
+!> The state of a material point, 20 numbers with the same layout in Fortran, C and NumPy; and those of LANES points side by side.
 module granumat_state
   use, intrinsic :: iso_c_binding, only: c_double
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, BAD_FABRIC
-  use granumat_tensors, only: LANES, trace
+  use granumat_tensors, only: trace
   implicit none (type, external)
   private
   public :: gather, scatter, check_state, is_finite, is_realisable
@@ -20,12 +20,12 @@ module granumat_state
     real(dp) :: stress(LANES, 6), fabric(LANES, 6), direction(LANES, 6), coordination_number(LANES), volume_fraction(LANES)
   end type lane_state
 
-  real(dp), parameter, public :: REALISABLE = 0.578_dp   ! no realisable fabric has a larger |A| than 1/sqrt(3)
-  real(dp), parameter :: ROUND_OFF = 1.0e-12_dp   ! in fabrics of order one: far above what a long path gathers
+  real(dp), parameter, public :: REALISABLE = 0.578_dp   ! just above 1/sqrt(3), the largest |A| of a realisable fabric
+  real(dp), parameter :: ROUND_OFF = 1.0e-12_dp   ! of fabrics of order one, far above what accumulates on a long path
 
 contains
 
-  !> Up to LANES points side by side; the last one fills the lanes that are left.
+  !> Up to LANES points side by side; lanes that are left over repeat the last point.
   pure subroutine gather(points, x)
     type(material_state), intent(in) :: points(:)
     type(lane_state), intent(out) :: x
@@ -41,6 +41,7 @@ contains
     end do
   end subroutine gather
 
+  !> The inverse of gather.
   pure subroutine scatter(x, points)
     type(lane_state), intent(in) :: x
     type(material_state), intent(out) :: points(:)
@@ -55,7 +56,7 @@ contains
     end do
   end subroutine scatter
 
-  !> Status of states that are to be updated.
+  !> Whether states can be updated, as a status.
   pure function check_state(x) result(status)
     type(lane_state), intent(in) :: x
     integer :: status(LANES)
@@ -72,7 +73,7 @@ contains
     real(dp) :: largest(LANES)
     integer :: k
 
-    largest = abs(x%coordination_number) + abs(x%volume_fraction)      ! sums keep what is not finite; the finite stays far below
+    largest = abs(x%coordination_number) + abs(x%volume_fraction)      ! a sum is not finite if one of its terms is not
     do k = 1, 6
       largest = largest + abs(x%stress(:, k)) + abs(x%fabric(:, k)) + abs(x%direction(:, k))
     end do

@@ -1,42 +1,44 @@
-!> Stress from microstructure. The paper's signs (compression positive) end here: what leaves is tension positive.
+!> The stress of the microstructure as printed, (4.1)-(4.6) and (A 1)-(A 12), and its slopes (docs/theory.md, section 6).
+!!
+!! The paper counts compression positive. Its signs end here: stresses that leave this module are tension positive.
 module granumat_stress
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
+  use granumat_law, only: critical_state
   use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
   use granumat_state, only: lane_state
-  use granumat_coordination, only: excess_coordination
-  use granumat_tensors, only: LANES, add_identity, contract, deviator, modulus, product_deviator, product_matrix, six, times, trace
+  use granumat_tensors, only: add_identity, contract, deviator, magnitude, product_deviator, product_matrix, times, to_voigt, trace
   implicit none (type, external)
   private
-  public :: evaluate, pressure_modulus, pressure, pressure_slopes, friction, stress_deviator, deviator_slopes
+  public :: evaluate, pressure_factor, pressure, pressure_slopes, friction, stress_deviator, model_deviator, deviator_slopes
 
-  !> What the pressure changes by with A:dA, with tr D^ and with Z2 - Zc.
-  type, public :: pressure_change
+  !> Slopes of the pressure: dp = A (A : dA) + trace d(tr D^) + excess d(Z2 - Zc).
+  type, public :: pressure_derivative
     real(dp), dimension(LANES) :: A, trace, excess
-  end type pressure_change
+  end type pressure_derivative
 
 contains
 
-  !> a1 + a2 |A| + g tr D^, (4.2) with (B 1); kappa for |A| in the critical closure (A 11).
-  pure function pressure_modulus(par, A, tr_direction) result(factor)
+  !> The factor of (4.2) with (B 1): a1 + a2 |A| + g tr D^, with kappa for |A| in the critical-state closure (A 11).
+  pure function pressure_factor(par, A, tr_direction) result(factor)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: A(LANES, 5), tr_direction(LANES)
     real(dp) :: factor(LANES), mod_A(LANES)
     mod_A = par%kappa
-    if (par%closure /= CRITICAL) mod_A = modulus(A)
+    if (par%closure /= CRITICAL) mod_A = magnitude(A)
     factor = par%a1 + par%a2 * mod_A + par%g * tr_direction
-  end function pressure_modulus
+  end function pressure_factor
 
-  !> p d/k (4.2), or p/k_Hz (4.4): its 3/2 power; 0 for the unjammed, Z2 <= Zc.
+  !> (4.2): p d/k = factor (Z2 - Zc)^2, or (4.4): p/k_Hz = factor^(3/2) (Z2 - Zc)^3; 0 where unjammed, Z2 <= Zc.
   pure function pressure(par, factor, excess) result(p)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: factor(LANES)     ! pressure_modulus
+    real(dp), intent(in) :: factor(LANES)     ! of pressure_factor
     real(dp), intent(in) :: excess(LANES)     ! Z2 - Zc
     real(dp) :: p(LANES)
     p = factor * max(excess, 0.0_dp)**2
     if (par%contact == HERTZIAN) p = sqrt(p)**3
   end function pressure
 
-  !> eta (4.5), (4.6); chi for A:S^ in the critical closure (A 12).
+  !> (4.5), (4.6): eta = b1 + b2 x + b3 x^2, x = A : S^, which is chi in the critical-state closure (A 12).
   pure function friction(par, A, S_hat) result(eta)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5)
@@ -46,10 +48,11 @@ contains
     eta = par%b1 + x * (par%b2 + x * par%b3)
   end function friction
 
-  !> Deviatoric stress, tension positive: (A 4), of which (4.1), (A 1) are the cases a3 = a4 = 0 and a4 = 0.
-  !!
-  !! Critical: (A 10) is (A 1) with A = lambda S^. Departs from the paper: chi/3 is kept as (lambda/3) S^:S^, its value
-  !! at tr D = 0, so that the term stays traceless when the volume changes.
+  !> The deviatoric stress, tension positive, from (A 4):
+  !!   -sigma' = p [-eta S^ + a3 (A S^ + S^ A - (2/3) (A : S^) I) + a4 (A - (A : S^) S^/2)].
+  !! (4.1) is the case a3 = a4 = 0, (A 1) the case a4 = 0, and (A 10) is (A 1) with A = lambda S^.
+  !! Departs from the paper: chi/3 in (A 10) is kept as (lambda/3) S^ : S^, which is its value at tr D = 0, so that the term
+  !! stays traceless when the volume changes.
   pure function stress_deviator(par, A, S_hat, p) result(dev)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), p(LANES)
@@ -60,26 +63,35 @@ contains
     dev = times(-p, dev)
   end function stress_deviator
 
+  !> The stress deviator of the model at its own pressure, tension positive.
+  pure function model_deviator(par, A, S_hat, tr_direction, excess) result(dev)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), tr_direction(LANES), excess(LANES)
+    real(dp) :: dev(LANES, 5)
+    dev = stress_deviator(par, A, S_hat, pressure(par, pressure_factor(par, A, tr_direction), excess))
+  end function model_deviator
+
+  !> The derivatives of the pressure.
   pure function pressure_slopes(par, A, tr_direction, excess) result(by)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: A(LANES, 5), tr_direction(LANES), excess(LANES)
-    type(pressure_change) :: by
+    type(pressure_derivative) :: by
     real(dp), dimension(LANES) :: factor, z, outer
 
     z = max(excess, 0.0_dp)
-    factor = pressure_modulus(par, A, tr_direction)
+    factor = pressure_factor(par, A, tr_direction)
     outer = 1
     if (par%contact == HERTZIAN) outer = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z
     by%A = 0
-    if (par%closure /= CRITICAL) by%A = outer * z**2 * par%a2 / (2 * max(modulus(A), tiny(1.0_dp)))
+    if (par%closure /= CRITICAL) by%A = outer * z**2 * par%a2 / (2 * max(magnitude(A), tiny(1.0_dp)))
     by%trace = outer * z**2 * par%g
     by%excess = 2 * outer * factor * z
   end function pressure_slopes
 
-  !> What the stress deviator changes by with A and with S^, at constant pressure; the first is symmetric.
+  !> The derivatives of the stress deviator by A and by S^ at constant pressure; the first is symmetric.
   pure subroutine deviator_slopes(par, A, S_hat, S_matrix, p, by_A, by_S_hat)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), S_matrix(LANES, 5, 5), p(LANES)    ! S_matrix: product_matrix of S^
+    real(dp), intent(in) :: A(LANES, 5), S_hat(LANES, 5), S_matrix(LANES, 5, 5), p(LANES)    ! S_matrix = product_matrix(S^)
     real(dp), intent(out), dimension(LANES, 5, 5) :: by_A, by_S_hat      ! (:, i, j): component i by component j
     real(dp), dimension(LANES) :: x, by_x, across, along
     real(dp) :: slope(3)
@@ -102,23 +114,25 @@ contains
     end do
   end subroutine deviator_slopes
 
-  !> The model stress of states' microstructure in their direction, and eta; what the critical closure implies is set.
+  !> Gives states the stress of the model in their direction of strain, and eta; in the critical-state closure also A and Z2.
   pure subroutine evaluate(par, x, eta)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(inout) :: x
     real(dp), intent(out) :: eta(LANES)
     real(dp), dimension(LANES, 5) :: S_hat, A
-    real(dp) :: p(LANES)
+    real(dp) :: p(LANES), excess(LANES)
 
     S_hat = deviator(x%direction)
-    if (par%closure == CRITICAL) then
-      x%fabric = six(par%lambda * S_hat)                                                       ! (A 9)
-      x%coordination_number = par%Zc + excess_coordination(par, x%volume_fraction - par%phic)
-    end if
     A = deviator(x%fabric)
+    excess = x%coordination_number - par%Zc
+    if (par%closure == CRITICAL) then
+      call critical_state(par, S_hat, x%volume_fraction, A, excess)
+      x%fabric = to_voigt(A)
+      x%coordination_number = par%Zc + excess
+    end if
     eta = friction(par, A, S_hat)
-    p = pressure(par, pressure_modulus(par, A, trace(x%direction)), x%coordination_number - par%Zc)
-    x%stress = add_identity(six(stress_deviator(par, A, S_hat, p)), -p)
+    p = pressure(par, pressure_factor(par, A, trace(x%direction)), excess)
+    x%stress = add_identity(to_voigt(stress_deviator(par, A, S_hat, p)), -p)
   end subroutine evaluate
 
 end module granumat_stress

@@ -1,28 +1,27 @@
 !> Isoparametric elements in the updated Lagrangian frame, for displacement solvers: from nodal displacement increments to the
-!> velocity gradients that the material takes, and from its stress and tangent to nodal forces and element stiffness matrices.
-!>
-!> x is where the nodes were at the start of the increment, u how far they move in it. With F = d(x + u)/dx, the gradient handed
-!> to the material is L = log F: a constant velocity gradient over the increment leads exactly to F, so rigid rotation by any
-!> angle strains nothing and det F = exp(tr L) exactly.
-!>
-!> With mean dilatation (B-bar on the moving mesh) every point of a cell gets the cell's volume change, and the pressure that does
-!> work on it is the cell's mean: L = log F + (log(V/V_old) - tr log F) I/d, and forces come from tau = sigma + (P - p_q) I,
-!> p_q = (tr sigma)/d over the d axes of the plane or space, P its mean over the cell's volume V.
-!>
-!> LANES cells go side by side, gathered and scattered cell by cell; a last group that is not full repeats its last cell.
-!> Gradients have three axes in the plane too, where the derivatives along the third are 0.
+!! velocity gradients that the material takes, and from its stress and tangent to nodal forces and element stiffness matrices.
+!!
+!! x is where the nodes were at the start of the increment, u how far they move in it. With F = d(x + u)/dx, the gradient handed
+!! to the material is L = log F: a constant velocity gradient over the increment leads exactly to F, so rigid rotation by any
+!! angle strains nothing and det F = exp(tr L) exactly.
+!!
+!! With mean dilatation (B-bar on the moving mesh) every point of a cell gets the cell's volume change, and the pressure that does
+!! work on it is the cell's mean: L = log F + (log(V/V_old) - tr log F) I/d, and forces come from tau = sigma + (P - p_q) I,
+!! p_q = (tr sigma)/d over the d axes of the plane or space, P its mean over the cell's volume V.
+!!
+!! LANES cells go side by side, gathered and scattered cell by cell; a last group that is not full repeats its last cell.
+!! Gradients have three axes in the plane too, where the derivatives along the third are 0. See docs/theory.md, section 9.
 module granumat_element
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
+  use granumat_matrices, only: determinant, invert, middle_to_logarithm, product_of, to_matrix, trace_of
   use granumat_tangent, only: PLANE_COLUMNS
-  use granumat_tensors, only: LANES
+  use granumat_tensors, only: VOIGT
   implicit none (type, external)
   private
   public :: element_gradients, element_forces, element_stiffness, INVERTED, TOO_LARGE
 
   integer, parameter :: INVERTED = 1                 ! an integration point's volume vanishes or changes its sign
   integer, parameter :: TOO_LARGE = 2                ! log F does not converge: the increment turns or strains by too much
-  integer, parameter :: MAX_TERMS = 40               ! of log F
-  integer, parameter :: VOIGT(3, 3) = reshape([1, 4, 5, 4, 2, 6, 5, 6, 3], [3, 3])
   integer, parameter :: SPIN(3, 3) = reshape([0, -7, -8, 7, 0, -9, 8, 9, 0], [3, 3])     ! (k, l): sign and column of W_kl
 
 contains
@@ -63,13 +62,13 @@ contains
         old_volume = old_volume + weights(q) * abs(det_old)
         new_volume = new_volume + point_volume(:, q)
         G(:, :, :, q) = product_of(J_u, inverse)
-        call logarithm(G(:, :, :, q), converged)
+        call middle_to_logarithm(G(:, :, :, q), converged)
         where (found == 0 .and. .not. converged) found = TOO_LARGE
         where (.not. (det / det_old > 0 .and. det_middle / det_old > 0)) found = INVERTED
       end do
       if (mean_dilatation) then
         do q = 1, size(weights)
-          theta = log(new_volume / old_volume) - trace(G(:, :, :, q))
+          theta = log(new_volume / old_volume) - trace_of(G(:, :, :, q))
           do i = 1, d
             G(:, i, i, q) = G(:, i, i, q) + theta / d
           end do
@@ -122,10 +121,10 @@ contains
   end subroutine element_forces
 
   !> The derivative of element_forces by u, consistent with element_gradients; rows and columns run over (d, nodes), d fastest.
-  !>
-  !> With h = d(du)/dx of a variation du, the material's gradient varies by dL = h - [L, h]/2 + [L, [L, h]]/12 - ... (the series of
-  !> Baker, Campbell and Hausdorff), points' volumes by tr h, grad N by - grad N h. In a cell with mean dilatation, b = tr h is
-  !> replaced by its mean m, so that d sigma = E h + e (m - b)/d, and K is a sum over points of G^T X G, and of three rank-one terms.
+  !!
+  !! With h = d(du)/dx of a variation du, the material's gradient varies by dL = h - [L, h]/2 + [L, [L, h]]/12 - ... (the series of
+  !! Baker, Campbell and Hausdorff), points' volumes by tr h, grad N by - grad N h. In a cell with mean dilatation, b = tr h is
+  !! replaced by its mean m, so that d sigma = E h + e (m - b)/d, and K is a sum over points of G^T X G and of three rank-one terms.
   subroutine element_stiffness(shape_gradients, x_new, volume, L, stress, tangent, mean_dilatation, K)
     real(dp), intent(in) :: shape_gradients(:, :, :)      ! (nodes, d, points)
     real(dp), intent(in) :: x_new(:, :, :)                ! (d, nodes, cells): after the increment
@@ -229,7 +228,7 @@ contains
   end function nodal
 
   !> E(:, :, :, i): the derivative of stress i by h, as a matrix to be contracted with it; e_iso: by an isotropic strain of d axes
-  !> (not by h).
+  !! (not by h).
   pure subroutine stress_slopes(tangent, L, q, cell, d, E, e_iso)
     real(dp), intent(in) :: tangent(:, :, :, :)      ! (9, 6, points, cells) or (4, 4, points, cells)
     real(dp), intent(in) :: L(:, :, :, :)            ! (3, 3, points, cells)
@@ -378,23 +377,6 @@ contains
     end do
   end function axial_mean
 
-  pure function trace(matrix) result(tr)
-    real(dp), intent(in) :: matrix(LANES, 3, 3)
-    real(dp) :: tr(LANES)
-    tr = matrix(:, 1, 1) + matrix(:, 2, 2) + matrix(:, 3, 3)
-  end function trace
-
-  pure function to_matrix(six) result(matrix)
-    real(dp), intent(in) :: six(LANES, 6)
-    real(dp) :: matrix(LANES, 3, 3)
-    integer :: i, j
-    do j = 1, 3
-      do i = 1, 3
-        matrix(:, i, j) = six(:, VOIGT(i, j))
-      end do
-    end do
-  end function to_matrix
-
   !> Derivatives of the shape functions by position, where the nodes are at x; det is that of the map from the reference cell.
   pure subroutine spatial_gradients(reference, x, spatial, det)
     real(dp), intent(in) :: reference(:, :)          ! (nodes, d)
@@ -433,76 +415,5 @@ contains
       end do
     end do
   end function jacobian
-
-  !> The inverse, 0 where there is none, and the determinant.
-  pure subroutine invert(M, inverse, det)
-    real(dp), intent(in) :: M(LANES, 3, 3)
-    real(dp), intent(out) :: inverse(LANES, 3, 3), det(LANES)
-    real(dp) :: factor(LANES)
-    integer :: i, j
-    inverse(:, 1, :) = cross(M(:, :, 2), M(:, :, 3))
-    inverse(:, 2, :) = cross(M(:, :, 3), M(:, :, 1))
-    inverse(:, 3, :) = cross(M(:, :, 1), M(:, :, 2))
-    det = inverse(:, 1, 1) * M(:, 1, 1) + inverse(:, 1, 2) * M(:, 2, 1) + inverse(:, 1, 3) * M(:, 3, 1)
-    factor = merge(1 / det, 0.0_dp, abs(det) > 0)
-    do j = 1, 3
-      do i = 1, 3
-        inverse(:, i, j) = factor * inverse(:, i, j)
-      end do
-    end do
-  end subroutine invert
-
-  pure function determinant(M) result(det)
-    real(dp), intent(in) :: M(LANES, 3, 3)
-    real(dp) :: det(LANES)
-    det = sum(cross(M(:, :, 2), M(:, :, 3)) * M(:, :, 1), 2)
-  end function determinant
-
-  pure function cross(a, b) result(c)
-    real(dp), intent(in), dimension(LANES, 3) :: a, b
-    real(dp) :: c(LANES, 3)
-    c(:, 1) = a(:, 2) * b(:, 3) - a(:, 3) * b(:, 2)
-    c(:, 2) = a(:, 3) * b(:, 1) - a(:, 1) * b(:, 3)
-    c(:, 3) = a(:, 1) * b(:, 2) - a(:, 2) * b(:, 1)
-  end function cross
-
-  !> G = 2 (F - I)(F + I)^-1, the increment's gradient in its middle, becomes log F = 2 artanh(G/2).
-  pure subroutine logarithm(G, converged)
-    real(dp), intent(inout) :: G(LANES, 3, 3)
-    logical, intent(out) :: converged(LANES)
-    real(dp), dimension(LANES, 3, 3) :: square, power, term
-    real(dp) :: largest(LANES), last(LANES)
-    integer :: i, j, m
-
-    square = product_of(G, G) / 4
-    power = G
-    converged = .false.
-    do m = 1, MAX_TERMS
-      power = product_of(power, square)
-      term = power / (2 * m + 1)
-      largest = 0
-      last = 0
-      do j = 1, 3
-        do i = 1, 3
-          G(:, i, j) = G(:, i, j) + merge(0.0_dp, term(:, i, j), converged)
-          largest = max(largest, abs(G(:, i, j)))
-          last = max(last, abs(term(:, i, j)))
-        end do
-      end do
-      converged = converged .or. last <= epsilon(1.0_dp) * largest / 2
-      if (all(converged)) exit
-    end do
-  end subroutine logarithm
-
-  pure function product_of(A, B) result(C)
-    real(dp), intent(in), dimension(LANES, 3, 3) :: A, B
-    real(dp) :: C(LANES, 3, 3)
-    integer :: i, j
-    do j = 1, 3
-      do i = 1, 3
-        C(:, i, j) = A(:, i, 1) * B(:, 1, j) + A(:, i, 2) * B(:, 2, j) + A(:, i, 3) * B(:, 3, j)
-      end do
-    end do
-  end function product_of
 
 end module granumat_element

@@ -1,16 +1,21 @@
-!> Tensors of LANES points at once, the points innermost, so that every formula is a vector instruction.
+!> Tensors of LANES points side by side.
 !!
-!! Symmetric tensors are six components 11 22 33 12 13 23 (tensor shear components), spins three: W12 W13 W23. Deviators are five
-!! in an orthonormal basis, (11 - 22)/sqrt(2), (2 33 - 11 - 22)/sqrt(6), and sqrt(2) times 12, 13, 23: X : Y is the plain product.
+!! Symmetric tensors are stored as Voigt components 11 22 33 12 13 23, with tensor (not engineering) shear components. Spins, skew
+!! tensors, have the components W12 W13 W23. Deviators have five components in an orthonormal basis: (11 - 22)/sqrt(2),
+!! (2 33 - 11 - 22)/sqrt(6), and sqrt(2) times 12, 13, 23. The double contraction X : Y of two deviators is then the dot product
+!! of their components.
 module granumat_tensors
-  use granumat_kinds, only: dp
+  use granumat_kinds, only: dp, LANES
+  use granumat_quadrature, only: INVERSE_FACTORIAL
   implicit none (type, external)
   private
-  public :: trace, deviator, six, contract, modulus, safe_modulus, times, product_symmetric, product_deviator, product_matrix, &
-    rotation, small_rotation, spin_series, rotate, rotation_of_deviators, matrix_times, transposed_times, corotate, &
-    spin_moments, commute, add_identity, strain_and_spin, times_spin
+  public :: trace, deviator, to_voigt, contract, magnitude, safe_magnitude, times, times_spin, add_identity, &
+    product_symmetric, product_deviator, product_matrix, corotate, spin_derivative, commutator_of_spins, &
+    rotation, small_rotation, rotation_series, rotate, rotation_of_deviators, matrix_times, transposed_times, strain_and_spin
 
-  integer, parameter, public :: LANES = 8     ! one vector of AVX-512, two of AVX2, four of SSE2
+  !> Voigt component of the tensor component i, j.
+  integer, parameter, public :: VOIGT(3, 3) = reshape([1, 4, 5, 4, 2, 6, 5, 6, 3], [3, 3])
+
   real(dp), parameter, public :: SQRT_3 = sqrt(3.0_dp)
   real(dp), parameter :: HALF_ROOT = sqrt(0.5_dp), SIXTH_ROOT = sqrt(1 / 6.0_dp)
 
@@ -42,15 +47,15 @@ contains
     dev(:, 3:) = 2 * HALF_ROOT * T(:, 4:)
   end function deviator
 
-  !> The six components of a deviator.
-  pure function six(X) result(T)
+  !> The Voigt components of a deviator.
+  pure function to_voigt(X) result(T)
     real(dp), intent(in) :: X(LANES, 5)
     real(dp) :: T(LANES, 6)
     T(:, 1) = HALF_ROOT * X(:, 1) - SIXTH_ROOT * X(:, 2)
     T(:, 2) = -HALF_ROOT * X(:, 1) - SIXTH_ROOT * X(:, 2)
     T(:, 3) = 2 * SIXTH_ROOT * X(:, 2)
     T(:, 4:) = HALF_ROOT * X(:, 3:)
-  end function six
+  end function to_voigt
 
   !> X : Y of deviators
   pure function contract(X, Y) result(c)
@@ -59,15 +64,15 @@ contains
     c = X(:, 1) * Y(:, 1) + X(:, 2) * Y(:, 2) + X(:, 3) * Y(:, 3) + X(:, 4) * Y(:, 4) + X(:, 5) * Y(:, 5)
   end function contract
 
-  !> |X| = sqrt(X : X / 2) of a deviator, the paper's modulus.
-  pure function modulus(X) result(m)
+  !> |X| = sqrt(X : X / 2) of a deviator, which the paper calls its modulus.
+  pure function magnitude(X) result(m)
     real(dp), intent(in) :: X(LANES, 5)
     real(dp) :: m(LANES)
     m = sqrt(contract(X, X) / 2)
-  end function modulus
+  end function magnitude
 
-  !> |T|, safe from underflow and overflow.
-  pure function safe_modulus(T) result(m)
+  !> |T| of a symmetric tensor, without underflow or overflow of the squares.
+  pure function safe_magnitude(T) result(m)
     real(dp), intent(in) :: T(LANES, 6)
     real(dp) :: m(LANES), size(LANES), inverse(LANES), total(LANES)
     integer :: k
@@ -81,7 +86,7 @@ contains
       total = total + merge(1, 2, k <= 3) * (inverse * T(:, k))**2
     end do
     m = size * sqrt(total / 2)
-  end function safe_modulus
+  end function safe_magnitude
 
   !> s X of a deviator
   pure function times(s, X) result(P)
@@ -107,7 +112,7 @@ contains
       + SIXTH_ROOT * (X(:, 2) * Y(:, 5) + X(:, 5) * Y(:, 2))
   end function product_deviator
 
-  !> The symmetric matrix of Y -> the deviator of X Y + Y X.
+  !> The symmetric 5 x 5 matrix that takes a deviator Y to the deviator of X Y + Y X.
   pure function product_matrix(X) result(M)
     real(dp), intent(in) :: X(LANES, 5)
     real(dp) :: M(LANES, 5, 5)
@@ -150,7 +155,7 @@ contains
     P(:, 6) = X(:, 4) * Y(:, 5) + X(:, 2) * Y(:, 6) + X(:, 6) * Y(:, 3) + Y(:, 4) * X(:, 5) + Y(:, 2) * X(:, 6) + Y(:, 6) * X(:, 3)
   end function product_symmetric
 
-  !> W X - X W, the rate of a deviator carried along by the spin w.
+  !> W X - X W, the rate of change of a deviator that rotates with the spin W.
   pure function corotate(w, X) result(dot_X)
     real(dp), intent(in) :: w(LANES, 3), X(LANES, 5)
     real(dp) :: dot_X(LANES, 5)
@@ -161,8 +166,8 @@ contains
     dot_X(:, 5) = w(:, 3) * (SQRT_3 * X(:, 2) + X(:, 1)) - w(:, 1) * X(:, 4) - w(:, 2) * X(:, 3)
   end function corotate
 
-  !> What Y : (W X - X W) changes by with each component of the spin.
-  pure function spin_moments(Y, X) result(m)
+  !> The derivative of Y : (W X - X W) by the components of the spin W.
+  pure function spin_derivative(Y, X) result(m)
     real(dp), intent(in) :: Y(LANES, 5), X(LANES, 5)
     real(dp) :: m(LANES, 3)
     m(:, 1) = 2 * (Y(:, 1) * X(:, 3) - Y(:, 3) * X(:, 1)) + Y(:, 4) * X(:, 5) - Y(:, 5) * X(:, 4)
@@ -170,9 +175,9 @@ contains
       + Y(:, 4) * (SQRT_3 * X(:, 2) - X(:, 1)) - Y(:, 5) * X(:, 3)
     m(:, 3) = Y(:, 3) * X(:, 4) - (Y(:, 1) + SQRT_3 * Y(:, 2)) * X(:, 5) &
       + Y(:, 5) * (SQRT_3 * X(:, 2) + X(:, 1)) - Y(:, 4) * X(:, 3)
-  end function spin_moments
+  end function spin_derivative
 
-  !> exp(W)
+  !> The rotation exp(W).
   pure function rotation(w) result(R)
     real(dp), intent(in) :: w(LANES, 3)
     real(dp) :: R(LANES, 3, 3), angle(LANES), first(LANES), second(LANES)
@@ -187,15 +192,15 @@ contains
     R = rotation_of(w, first, second)
   end function rotation
 
-  !> The same for |w| <= 0.2, in vector instructions.
+  !> The rotation exp(W) for angles up to 0.2, in vector instructions.
   pure function small_rotation(w) result(R)
     real(dp), intent(in) :: w(LANES, 3)
     real(dp) :: R(LANES, 3, 3), second(LANES), third(LANES)
-    call spin_series(w, second, third)
+    call rotation_series(w, second, third)
     R = rotation_of(w, 1 - third * (w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2), second)
   end function small_rotation
 
-  !> Rodrigues' formula: I + first W + second W W, first = sin(a)/a and second = (1 - cos(a))/a^2 of the angle a.
+  !> Rodrigues' formula I + first W + second W W with first = sin(a)/a and second = (1 - cos(a))/a^2, a the angle of W.
   pure function rotation_of(w, first, second) result(R)
     real(dp), intent(in) :: w(LANES, 3), first(LANES), second(LANES)
     real(dp) :: R(LANES, 3, 3), x(LANES), y(LANES), z(LANES)
@@ -214,16 +219,17 @@ contains
     R(:, 3, 2) = second * y * z + first * x
   end function rotation_of
 
-  !> (1 - cos(a))/a^2 and (a - sin(a))/a^3 for the angle a of w, to round-off for a <= 0.2.
-  pure subroutine spin_series(w, second, third)
+  !> second = (1 - cos(a))/a^2 and third = (a - sin(a))/a^3 of the angle a of W, to round-off for a <= 0.2.
+  pure subroutine rotation_series(w, second, third)
     real(dp), intent(in) :: w(LANES, 3)
     real(dp), intent(out) :: second(LANES), third(LANES)
     real(dp) :: square(LANES)
-    real(dp), parameter :: SERIES(2:11) = 1 / real([2, 6, 24, 120, 720, 5040, 40320, 362880, 3628800, 39916800], dp)
     square = w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2
-    second = SERIES(2) - square * (SERIES(4) - square * (SERIES(6) - square * (SERIES(8) - square * SERIES(10))))
-    third = SERIES(3) - square * (SERIES(5) - square * (SERIES(7) - square * (SERIES(9) - square * SERIES(11))))
-  end subroutine spin_series
+    associate (c => INVERSE_FACTORIAL)
+      second = c(2) - square * (c(4) - square * (c(6) - square * (c(8) - square * c(10))))
+      third = c(3) - square * (c(5) - square * (c(7) - square * (c(9) - square * c(11))))
+    end associate
+  end subroutine rotation_series
 
   !> s W
   pure function times_spin(s, w) result(p)
@@ -235,14 +241,14 @@ contains
     end do
   end function times_spin
 
-  !> V W - W V of two spins, as a spin.
-  pure function commute(v, w) result(c)
+  !> The spin V W - W V.
+  pure function commutator_of_spins(v, w) result(c)
     real(dp), intent(in) :: v(LANES, 3), w(LANES, 3)
     real(dp) :: c(LANES, 3)
     c(:, 1) = v(:, 3) * w(:, 2) - v(:, 2) * w(:, 3)
     c(:, 2) = v(:, 1) * w(:, 3) - v(:, 3) * w(:, 1)
     c(:, 3) = v(:, 2) * w(:, 1) - v(:, 1) * w(:, 2)
-  end function commute
+  end function commutator_of_spins
 
   !> R T R^T
   pure function rotate(R, T) result(rotated)
@@ -261,17 +267,17 @@ contains
     rotated(:, 6) = RT(:, 2, 1) * R(:, 3, 1) + RT(:, 2, 2) * R(:, 3, 2) + RT(:, 2, 3) * R(:, 3, 3)
   end function rotate
 
-  !> The matrix by which the five components of a deviator turn: X -> R X R^T.
+  !> The 5 x 5 matrix of X -> R X R^T for deviators X. Of R = I it is the identity to the last bit.
   pure function rotation_of_deviators(R) result(M)
     real(dp), intent(in) :: R(LANES, 3, 3)
     real(dp) :: M(LANES, 5, 5), dyad(5, 6), xx, yy
     integer, parameter :: AXES(2, 6) = reshape([1, 1, 2, 2, 3, 3, 1, 2, 1, 3, 2, 3], [2, 6])
-    real(dp), parameter :: SCALE(5) = [1.0_dp, 1 / SQRT_3, 1.0_dp, 1.0_dp, 1.0_dp]       ! so that no rotation is none to the bit
+    real(dp), parameter :: SCALE(5) = [1.0_dp, 1 / SQRT_3, 1.0_dp, 1.0_dp, 1.0_dp]
     real(dp), parameter :: SCALE_2(5) = [1 / SQRT_3, 1 / 3.0_dp, 1 / SQRT_3, 1 / SQRT_3, 1 / SQRT_3]
     integer :: i, k, a, b
 
     do i = 1, LANES
-      do k = 1, 6                             ! of two columns of R, the deviator of their symmetric dyad
+      do k = 1, 6                             ! the deviator of the symmetric dyad of two columns of R
         a = AXES(1, k)
         b = AXES(2, k)
         xx = R(i, 1, a) * R(i, 1, b)
@@ -316,7 +322,7 @@ contains
     end do
   end function transposed_times
 
-  !> Strain (engineering shears) and spin of displacement gradients G(j, i) = du_i/dx_j, laid out as C and numpy have them.
+  !> Strain (engineering shears) and spin of displacement gradients G(j, i) = du_i/dx_j, in the memory order of C and numpy.
   pure subroutine strain_and_spin(G, strain, spin)
     real(dp), intent(in) :: G(:, :, :)                       ! (3, 3, n), n <= LANES; the remaining lanes get zeros
     real(dp), intent(out) :: strain(LANES, 6), spin(LANES, 3)

@@ -1,22 +1,23 @@
-!> The elastic strain scale: d sigma'/ds = (sigma'_model - sigma')/e_r, s the integral of |D|, carried along by the spin.
+!> The elastic strain e_r: weights of the exponential integration of granumat_law's relaxation_rate (docs/theory.md, section 4).
 !!
-!! Integrated by its own exponential: sigma'_model is interpolated in t, its product with the kernel integrated exactly,
-!! so any ratio of increment and scale is stable and the limit e_r -> 0 is the model itself.
+!! With ratio = |D|/e_r and u = 1 - t, the deviator at the end of an increment, rotations apart, is
+!!   sigma'(1) = exp(-ratio) sigma'(0) + integral of ratio exp(-ratio u) sigma'_model du.
+!! sigma'_model is interpolated in t by the polynomial through given places and the product with the kernel is integrated exactly.
+!! So every ratio is stable, and the limit e_r -> 0 is sigma'_model itself.
 module granumat_relaxation
-  use granumat_kinds, only: dp
-  use granumat_tensors, only: LANES
+  use granumat_kinds, only: dp, LANES
   implicit none (type, external)
   private
   public :: relaxation_weights, relaxation_weights_slope
 
-  real(dp), parameter :: SERIES_END = 1.0e-17_dp
-  real(dp), parameter :: FORWARD_FROM = 12   ! above it the forward recurrence of the moments loses less than two digits
+  real(dp), parameter :: MOMENT_TOLERANCE = 1.0e-17_dp      ! last term of the series over the sum: below round-off
+  real(dp), parameter :: FORWARD_RECURRENCE_FROM = 12      ! ratio above which the forward recurrence loses less than two digits
 
 contains
 
-  !> Weights of sigma'_model at the places u = 1 - t (distinct), for the kernel ratio exp(-ratio u).
+  !> Weights of sigma'_model at distinct places u = 1 - t.
   pure function relaxation_weights(ratio, u) result(weights)
-    real(dp), intent(in) :: ratio(LANES)      ! strain increment over e_r
+    real(dp), intent(in) :: ratio(LANES)      ! |D|/e_r
     real(dp), intent(in) :: u(:, :)           ! (LANES, n)
     real(dp) :: weights(LANES, size(u, 2))
 
@@ -24,7 +25,7 @@ contains
     call solve_moments(u, weights)
   end function relaxation_weights
 
-  !> Their derivative by the ratio; that of moment_j is exp(-ratio) - (j - 1) moment_j / ratio.
+  !> The derivative of the weights by the ratio, from that of the moments: exp(-ratio) - (j - 1) moment_j/ratio.
   pure function relaxation_weights_slope(ratio, u) result(slope)
     real(dp), intent(in) :: ratio(LANES)
     real(dp), intent(in) :: u(:, :)
@@ -38,7 +39,7 @@ contains
     call solve_moments(u, slope)
   end function relaxation_weights_slope
 
-  !> Bjorck & Pereyra (1970): the Vandermonde system sum_i w_i u_i^(j-1) = moment_j, solved in place.
+  !> Solves the Vandermonde system sum_i w_i u_i^(j-1) = moment_j in place: A. Bjorck, V. Pereyra, Math. Comput. 24 (1970) 893-903.
   pure subroutine solve_moments(u, weights)
     real(dp), intent(in) :: u(:, :)
     real(dp), intent(inout) :: weights(:, :)
@@ -60,19 +61,22 @@ contains
     end do
   end subroutine solve_moments
 
-  !> moment_j = integral of ratio exp(-ratio u) u^(j-1) over 0 <= u <= 1, j = 1 ... n.
+  !> The moments of the kernel: integral of ratio exp(-ratio u) u^(j-1) over 0 <= u <= 1, j = 1 ... n.
+  !!
+  !! Up to FORWARD_RECURRENCE_FROM the last moment comes from its series, all terms of which are positive, and the others by the
+  !! recurrence backward, which is stable there; above it the recurrence runs forward.
   pure function moments(ratio, n) result(moment)
     real(dp), intent(in) :: ratio(LANES)
     integer, intent(in) :: n
     real(dp) :: moment(LANES, n), small(LANES), large(LANES), edge(LANES), term(LANES), forward(LANES)
     integer :: j
 
-    small = min(ratio, FORWARD_FROM)
+    small = min(ratio, FORWARD_RECURRENCE_FROM)
     edge = exp(-small)
-    term = edge * small / n            ! series of the last moment, all terms positive; the rest by backward recurrence
+    term = edge * small / n
     moment(:, n) = term
     j = n
-    do while (any(term > SERIES_END * moment(:, n)))
+    do while (any(term > MOMENT_TOLERANCE * moment(:, n)))
       j = j + 1
       term = term * small * (1.0_dp / j)
       moment(:, n) = moment(:, n) + term
@@ -80,14 +84,14 @@ contains
     do j = n, 2, -1
       moment(:, j - 1) = small * (1.0_dp / (j - 1)) * (moment(:, j) + edge)
     end do
-    if (all(ratio <= FORWARD_FROM)) return
+    if (all(ratio <= FORWARD_RECURRENCE_FROM)) return
 
-    large = max(ratio, FORWARD_FROM)
+    large = max(ratio, FORWARD_RECURRENCE_FROM)
     edge = exp(-large)
     forward = 1 - edge
     do j = 1, n
       if (j > 1) forward = (j - 1) / large * forward - edge
-      moment(:, j) = merge(forward, moment(:, j), ratio > FORWARD_FROM)
+      moment(:, j) = merge(forward, moment(:, j), ratio > FORWARD_RECURRENCE_FROM)
     end do
   end function moments
 

@@ -1,47 +1,39 @@
-!> What C and Python see: plain arrays, one procedure a task. f2py reads their shapes from _core.pyf.
+!> The procedures that C and Python call, with plain arrays. f2py takes the shapes from _core.pyf; granumat.h declares them for C.
 module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
-  use granumat_batch, only: update_batch
+  use granumat_batch, only: update_batch, update_batch_by_method
   use granumat_element, only: element_gradients, element_forces, element_stiffness
   use granumat_ellipticity, only: response, transverse_modulus, response_of, least_over_normals, EIGENVALUE, DETERMINANT
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
     are_valid, N_CONSTANTS, NAME_LENGTH, RANGES
+  use granumat_kinds, only: LANES
+  use granumat_methods, only: scheme
   use granumat_path, only: follow_path
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_stress, only: evaluate
-  use granumat_tensors, only: LANES
   use granumat_status, only: status_message, MESSAGE_LENGTH
   implicit none (type, external)
   private
 
 contains
 
-  subroutine core_parameters(mu, closure, contact, calibration, par) bind(c)
+  subroutine granumat_parameters_from_friction(mu, closure, contact, calibration, par) bind(c)
     real(c_double), value, intent(in) :: mu
     integer(c_int), value, intent(in) :: closure, contact, calibration
     type(material_parameters), intent(out) :: par
     par = parameters_from_friction(mu, closure, contact, calibration)
-  end subroutine core_parameters
+  end subroutine granumat_parameters_from_friction
 
-  subroutine core_method(par, method, spin, tolerance) bind(c)
-    type(material_parameters), intent(inout) :: par
-    integer(c_int), value, intent(in) :: method, spin
-    real(c_double), value, intent(in) :: tolerance
-    par%method = method
-    par%spin = spin
-    par%method_tolerance = tolerance
-  end subroutine core_method
-
-  !> After an override: which constants are faulty (1); what follows from them is set anew if none is.
-  subroutine core_complete(par, faulty, valid) bind(c)
+  !> After a change of constants: which of them are faulty (1); if none is, chi, kappa, lambda and the fabric's limit are set anew.
+  subroutine granumat_complete_parameters(par, faulty, valid) bind(c)
     type(material_parameters), intent(inout) :: par
     integer(c_int), intent(out) :: faulty(N_CONSTANTS), valid
     faulty = merge(1, 0, faulty_constants(par))
     if (all(faulty == 0)) call derive_constants(par)
     valid = merge(1, 0, are_valid(par))
-  end subroutine core_complete
+  end subroutine granumat_complete_parameters
 
-  subroutine core_range(i, name, lower_bound, upper_bound, closed_bounds) bind(c)
+  subroutine granumat_constant_range(i, name, lower_bound, upper_bound, closed_bounds) bind(c)
     integer(c_int), value, intent(in) :: i                    ! 1 ... N_CONSTANTS
     character(kind=c_char), intent(out) :: name(NAME_LENGTH)
     real(c_double), intent(out) :: lower_bound, upper_bound
@@ -50,16 +42,16 @@ contains
     lower_bound = RANGES(i)%lower
     upper_bound = RANGES(i)%upper
     closed_bounds = merge(1, 0, RANGES(i)%closed)
-  end subroutine core_range
+  end subroutine granumat_constant_range
 
-  subroutine core_message(status, message) bind(c)
+  subroutine granumat_status_message(status, message) bind(c)
     integer(c_int), value, intent(in) :: status
     character(kind=c_char), intent(out) :: message(MESSAGE_LENGTH)
     message = transfer(status_message(status), message)
-  end subroutine core_message
+  end subroutine granumat_status_message
 
   !> The states with their stress replaced by the model's; see evaluate.
-  subroutine core_evaluate(n, par, states, eta) bind(c)
+  subroutine granumat_evaluate_stress(n, par, states, eta) bind(c)
     integer(c_int), value, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(material_state), intent(inout) :: states(n)
@@ -74,9 +66,9 @@ contains
       call scatter(x, states(first:last))
       eta(first:last) = lane_eta(:last - first + 1)
     end do
-  end subroutine core_evaluate
+  end subroutine granumat_evaluate_stress
 
-  subroutine core_transverse_modulus(n, par, states, eta_t) bind(c)
+  subroutine granumat_transverse_modulus(n, par, states, eta_t) bind(c)
     integer(c_int), value, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: states(n)
@@ -90,10 +82,10 @@ contains
       found = transverse_modulus(par, x)
       eta_t(first:last) = found(:last - first + 1)
     end do
-  end subroutine core_transverse_modulus
+  end subroutine granumat_transverse_modulus
 
   !> Response matrices, transposed: Python's (n, 6, 6) has the stress components' index before the strains'.
-  subroutine core_response(n, par, states, matrix) bind(c)
+  subroutine granumat_response(n, par, states, matrix) bind(c)
     integer(c_int), value, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: states(n)
@@ -109,10 +101,10 @@ contains
         matrix(:, :, i) = transpose(law%C(i - first + 1, :, :))
       end do
     end do
-  end subroutine core_response
+  end subroutine granumat_response
 
   !> The smallest eigenvalue (1) and the smallest determinant (2) of the acoustic tensor, and their normals.
-  subroutine core_ellipticity(n, threads, par, states, least, normal) bind(c)
+  subroutine granumat_least_acoustic(n, threads, par, states, least, normal) bind(c)
     integer(c_int), value, intent(in) :: n, threads
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: states(n)
@@ -134,9 +126,9 @@ contains
         normal(:, :, i) = where_found(i - first + 1, :, :)
       end do
     end do
-  end subroutine core_ellipticity
+  end subroutine granumat_least_acoustic
 
-  subroutine core_update(n, threads, par, old, gradient, new, status) bind(c)
+  subroutine granumat_update_states(n, threads, par, old, gradient, new, status) bind(c)
     integer(c_int), value, intent(in) :: n, threads
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: old(n)
@@ -144,10 +136,10 @@ contains
     type(material_state), intent(out) :: new(n)
     integer(c_int), intent(out) :: status(n)
     call update_batch(par, old, gradient, threads, new, status)
-  end subroutine core_update
+  end subroutine granumat_update_states
 
   !> With the tangent: 6 rows, columns 6 for the strain, 9 for strain and spin; in plane strain 4 rows, columns 3 and 4.
-  subroutine core_tangent(n, threads, rows, columns, par, old, gradient, new, status, tangent) bind(c)
+  subroutine granumat_update_states_with_tangent(n, threads, rows, columns, par, old, gradient, new, status, tangent) bind(c)
     integer(c_int), value, intent(in) :: n, threads, rows, columns
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: old(n)
@@ -156,12 +148,25 @@ contains
     integer(c_int), intent(out) :: status(n)
     real(c_double), intent(out) :: tangent(columns, rows, n)
     call update_batch(par, old, gradient, threads, new, status, tangent)
-  end subroutine core_tangent
+  end subroutine granumat_update_states_with_tangent
+
+  !> By a method that is compared with the exact update: numbers of the method and of the spin as in granumat_methods.
+  subroutine granumat_update_states_by_method(n, threads, method, spin, tolerance, par, old, gradient, new, status) bind(c)
+    integer(c_int), value, intent(in) :: n, threads, method, spin
+    real(c_double), value, intent(in) :: tolerance
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: old(n)
+    real(c_double), intent(in) :: gradient(3, 3, n)
+    type(material_state), intent(out) :: new(n)
+    integer(c_int), intent(out) :: status(n)
+    call update_batch_by_method(par, scheme(method, spin, tolerance), old, gradient, threads, new, status)
+  end subroutine granumat_update_states_by_method
 
   !> m free modes, in arrays of at least one row (f2py takes no empty ones).
-  subroutine core_path(n, m, rows, par, start, gradient, mode, functional, target, tolerance, states, amplitude, done, status) &
-      bind(c)
-    integer(c_int), value, intent(in) :: n, m, rows
+  subroutine granumat_follow_path(n, m, rows, method, spin, method_tolerance, par, start, gradient, mode, functional, target, &
+      tolerance, states, amplitude, done, status) bind(c)
+    integer(c_int), value, intent(in) :: n, m, rows, method, spin
+    real(c_double), value, intent(in) :: method_tolerance
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: start
     real(c_double), intent(in) :: gradient(3, 3, n), mode(3, 3, rows), functional(6, rows), target(rows, 0:n)
@@ -169,12 +174,12 @@ contains
     type(material_state), intent(out) :: states(n)
     real(c_double), intent(out) :: amplitude(rows, n)
     integer(c_int), intent(out) :: done, status
-    call follow_path(par, start, gradient, mode(:, :, :m), functional(:, :m), target(:m, :), tolerance, &
-      states, amplitude(:m, :), done, status)
-  end subroutine core_path
+    call follow_path(par, scheme(method, spin, method_tolerance), start, gradient, mode(:, :, :m), functional(:, :m), &
+      target(:m, :), tolerance, states, amplitude(:m, :), done, status)
+  end subroutine granumat_follow_path
 
   !> Multiplies and adds 2 * 12 * LANES * rounds times in registers: what the arithmetic of a benchmark is measured against.
-  subroutine core_arithmetic(rounds, total) bind(c)
+  subroutine granumat_arithmetic(rounds, total) bind(c)
     integer(c_int), value, intent(in) :: rounds
     real(c_double), intent(out) :: total
     real(c_double) :: x(LANES, 12)
@@ -184,33 +189,34 @@ contains
       x = x * 0.5_c_double + 0.25_c_double
     end do
     total = sum(x)
-  end subroutine core_arithmetic
+  end subroutine granumat_arithmetic
 
-  subroutine core_element_gradients(d, nodes, points, cells, mean_dilatation, shape_gradients, weights, x, u, L, volume, &
+  subroutine granumat_element_gradients(d, nodes, points, cells, mean_dilatation, shape_gradients, weights, x, u, L, volume, &
       status) bind(c)
     integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
     real(c_double), intent(in) :: shape_gradients(nodes, d, points), weights(points), x(d, nodes, cells), u(d, nodes, cells)
     real(c_double), intent(out) :: L(3, 3, points, cells), volume(points, cells)
     integer(c_int), intent(out) :: status(cells)
     call element_gradients(shape_gradients, weights, x, u, mean_dilatation /= 0, L, volume, status)
-  end subroutine core_element_gradients
+  end subroutine granumat_element_gradients
 
-  subroutine core_element_forces(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, stress, forces) bind(c)
+  subroutine granumat_element_forces(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, stress, forces) &
+      bind(c)
     integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
     real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
     real(c_double), intent(in) :: stress(6, points, cells)
     real(c_double), intent(out) :: forces(d, nodes, cells)
     call element_forces(shape_gradients, x_new, volume, stress, mean_dilatation /= 0, forces)
-  end subroutine core_element_forces
+  end subroutine granumat_element_forces
 
-  subroutine core_element_stiffness(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, L, stress, tangent, &
-      K) bind(c)
+  subroutine granumat_element_stiffness(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, L, stress, &
+      tangent, K) bind(c)
     integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
     real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
     real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells)
     real(c_double), intent(in) :: tangent(5 * d - 6, 2 * d, points, cells)
     real(c_double), intent(out) :: K(d * nodes, d * nodes, cells)
     call element_stiffness(shape_gradients, x_new, volume, L, stress, tangent, mean_dilatation /= 0, K)
-  end subroutine core_element_stiffness
+  end subroutine granumat_element_stiffness
 
 end module granumat_bindings

@@ -1,0 +1,275 @@
+!> A strain increment in substeps, each integrated to round-off (docs/theory.md, section 5).
+!!
+!! LANES points go side by side. Each takes the substeps that it needs by itself; a point that is done waits with zero strain.
+module granumat_substeps
+  use granumat_kinds, only: dp, LANES
+  use granumat_status, only: OK, INCREMENT_TOO_LARGE, FABRIC_BLOWS_UP
+  use granumat_coordination, only: integrate_coordination, quadrature_nodes
+  use granumat_fabric, only: fabric_at, fabric_rate_bound, fabric_solution, projections_at, solve_fabric
+  use granumat_increment, only: increment
+  use granumat_law, only: critical_state
+  use granumat_parameters, only: material_parameters, CRITICAL
+  use granumat_quadrature, only: N_NODES, exponential
+  use granumat_relaxation, only: relaxation_weights
+  use granumat_state, only: REALISABLE
+  use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
+  use granumat_tensors, only: magnitude, matrix_times, rotation_of_deviators, small_rotation, times, times_spin
+  implicit none (type, external)
+  private
+  public :: integrate, take_substep
+
+  integer, parameter, public :: AT_END = N_NODES + 1     ! index of the end of a substep, after its quadrature nodes
+  integer, parameter, public :: MAX_SUBSTEPS = 10000
+
+  ! rate bound times substep: with it the four Gauss points err by 1e-13 (tests/test_exact.py)
+  real(dp), parameter :: SUBSTEP_RATE = 0.4_dp
+  ! with e_r > 0 substeps are smaller by this: the interpolation in the kernel has half the order of Gauss's rule
+  real(dp), parameter :: RELAXATION_REFINEMENT = 1.5_dp
+  real(dp), parameter :: ISOTROPIC_BELOW = 1.0e-12_dp    ! |A| below which the fabric starts from A = 0, where |A| is smooth in t
+  ! distances to a kink below which substeps no longer shrink: |A|, Z2 - Zc, ln(phi/phic)
+  real(dp), parameter :: SMALLEST_FABRIC = 1.0e-5_dp, SMALLEST_EXCESS = 1.0e-3_dp, SMALLEST_LOG_PHI = 1.0e-6_dp
+  real(dp), parameter :: LARGEST_TRACE = 2.45_dp         ! of D^: sqrt(6), for an isotropic strain
+
+  !> What evolves inside an increment.
+  type, public :: internal_state
+    real(dp) :: A(LANES, 5)            !! fabric
+    real(dp) :: excess(LANES)          !! Z2 - Zc
+    real(dp) :: phi(LANES)
+    real(dp) :: log_phi(LANES)         !! ln(phi/phic)
+    real(dp) :: dev(LANES, 5)          !! deviatoric stress, tension positive
+  end type internal_state
+
+  !> A substep before it is taken: where it starts, its share of the increment, and ln(phi/phic) at its end.
+  type, public :: substep_start
+    type(internal_state) :: x
+    real(dp) :: share(LANES), log_phi_end(LANES)
+  end type substep_start
+
+  !> A substep, 0 <= t <= 1, with everything that its adjoint needs; quadrature nodes come first, the end last.
+  type, public :: substep_solution
+    real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 5), w(LANES, 3)
+    real(dp), dimension(LANES, N_NODES) :: t, dt, phi, y, A_S, growth, integrand
+    real(dp) :: y_end(LANES)
+    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)       !! at the nodes only with e_r > 0
+    ! With e_r > 0. Index 0 is the deviator at the start.
+    real(dp), dimension(LANES, 5, 0:AT_END) :: rotated           !! deviators rotated to the end; 0: and decayed
+    real(dp) :: p(LANES, AT_END), dev_over_p(LANES, 5, AT_END)   !! the model's pressure, and its deviator over pressure
+    real(dp) :: weights(LANES, 0:AT_END)                         !! of granumat_relaxation; 0: exp(-ratio)
+    real(dp) :: R(LANES, 5, 5, 0:N_NODES)                        !! rotations of deviators to the end
+    type(fabric_solution) :: fabric
+  end type substep_solution
+
+  !> The substeps of an increment: the last one solved, of the others, where all are wanted, only how they start.
+  type, public :: substep_record
+    type(substep_start) :: last
+    type(substep_solution) :: solution
+    type(substep_start), allocatable :: earlier(:)     ! has steps - 1, and room for more
+    integer :: steps = 0
+    logical :: all_wanted
+  end type substep_record
+
+contains
+
+  !> Integrates an increment. It is split where phi crosses phic, and each part is taken in substeps.
+  pure subroutine integrate(par, inc, x, status, record)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal_state), intent(inout) :: x
+    integer, intent(inout) :: status(LANES)
+    type(substep_record), intent(inout) :: record
+    real(dp), dimension(LANES) :: log_phi_end, crossing
+
+    x%log_phi = log(merge(x%phi / par%phic, 2.0_dp, status == OK))
+    log_phi_end = x%log_phi - inc%tr_D
+    crossing = 1
+    where (x%log_phi * log_phi_end < 0) crossing = x%log_phi / inc%tr_D
+    call integrate_part(par, inc, crossing, merge(0.0_dp, log_phi_end, crossing < 1), x, status, record)
+    if (any(crossing < 1)) call integrate_part(par, inc, 1 - crossing, log_phi_end, x, status, record)
+  end subroutine integrate
+
+  !> Takes substeps over a share of the increment in which phi stays on one side of phic.
+  pure subroutine integrate_part(par, inc, share, log_phi_end, x, status, record)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: share(LANES), log_phi_end(LANES)
+    type(internal_state), intent(inout) :: x
+    integer, intent(inout) :: status(LANES)
+    type(substep_record), intent(inout) :: record
+    real(dp), dimension(LANES) :: remainder, next_remainder, rate, steps, log_phi_start, log_phi_next, mod_A
+    integer :: step
+
+    mod_A = magnitude(x%A)
+    rate = rate_bound(par, inc, mod_A)
+    where (status == OK .and. .not. share * rate < SUBSTEP_RATE * MAX_SUBSTEPS) status = INCREMENT_TOO_LARGE
+    remainder = merge(share, 0.0_dp, status == OK)
+    log_phi_start = x%log_phi
+    do step = 1, MAX_SUBSTEPS
+      if (all(remainder <= 0)) return
+      if (any(mod_A > par%fabric_limit)) &              ! above the limit |A| can grow, and the bound with it
+        rate = merge(rate_bound(par, inc, mod_A), rate, mod_A > par%fabric_limit)
+      steps = remainder * kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end) / SUBSTEP_RATE
+      next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
+      log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
+      if (record%all_wanted) call add_start(record, substep_start(x, remainder - next_remainder, log_phi_next))
+      call take_substep(par, inc, remainder - next_remainder, log_phi_next, x, record%solution, status)
+      remainder = merge(next_remainder, 0.0_dp, status == OK)
+      mod_A = magnitude(x%A)
+    end do
+    where (remainder > 0) status = INCREMENT_TOO_LARGE
+  end subroutine integrate_part
+
+  !> Adds the start of a substep to a record.
+  pure subroutine add_start(record, start)
+    type(substep_record), intent(inout) :: record
+    type(substep_start), intent(in) :: start
+    type(substep_start), allocatable :: longer(:)
+    integer :: n
+
+    n = record%steps
+    if (n > 0) then
+      if (.not. allocated(record%earlier)) allocate (record%earlier(4))
+      if (n > size(record%earlier)) then
+        allocate (longer(2 * n))
+        longer(:n - 1) = record%earlier(:n - 1)
+        call move_alloc(longer, record%earlier)
+      end if
+      record%earlier(n) = record%last
+    end if
+    record%last = start
+    record%steps = n + 1
+  end subroutine add_start
+
+  !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2 and phi can change where the law is smooth.
+  pure function rate_bound(par, inc, mod_A) result(rate)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: mod_A(LANES)
+    real(dp) :: rate(LANES)
+    rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
+  end function rate_bound
+
+  !> The rate bound near kinks, so that substeps shrink with the distance to them.
+  !!
+  !! Kinks are phi = phic for Z2, where the quadrature in sqrt(ln(phi/phic)) is exact but its nodes crowd, and with e_r > 0, where
+  !! the model's stress is interpolated, also A = 0, Z2 = Zc and phi = phic for the stress.
+  pure function kink_rate_bound(par, inc, x, mod_A, smooth, log_phi_end) result(rate)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal_state), intent(in) :: x
+    real(dp), intent(in) :: mod_A(LANES)           ! |A|
+    real(dp), intent(in) :: smooth(LANES)          ! rate_bound
+    real(dp), intent(in) :: log_phi_end(LANES)     ! ln(phi/phic) at the end of the part
+    real(dp), dimension(LANES) :: rate, volume_rate, log_phi_next, near_isotropy, near_jamming
+
+    volume_rate = SUBSTEP_RATE * inc%tr_D
+    log_phi_next = min(x%log_phi, max(log_phi_end, x%log_phi - volume_rate / max(smooth, tiny(1.0_dp))))
+    rate = smooth
+    where (x%log_phi > 0 .or. log_phi_end > 0) &
+      rate = max(rate, min(abs(volume_rate) / max(log_phi_next, SMALLEST_LOG_PHI), 4 * smooth))
+    if (par%elastic_strain > 0) then
+      rate = RELAXATION_REFINEMENT * rate
+      where (x%log_phi > 0 .or. log_phi_end > 0) rate = max(rate, 4 * abs(volume_rate) / max(x%log_phi, SMALLEST_LOG_PHI))
+      near_isotropy = abs(par%c1) * inc%mod_D / max(mod_A, SMALLEST_FABRIC)
+      where (mod_A < ISOTROPIC_BELOW) near_isotropy = 0
+      near_jamming = ((abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess)) * inc%mod_D + abs(par%d3 * inc%tr_D)) &
+        / max(abs(x%excess), SMALLEST_EXCESS)
+      rate = max(rate, SUBSTEP_RATE * max(4 * near_isotropy, 2 * near_jamming))
+    end if
+  end function kink_rate_bound
+
+  !> Takes one substep: phi, then the fabric, then the coordination number, then the stress.
+  pure subroutine take_substep(par, inc, share, log_phi_end, x, step, status)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: share(LANES)          ! of the increment
+    real(dp), intent(in) :: log_phi_end(LANES)    ! ln(phi/phic) at the end
+    type(internal_state), intent(inout) :: x
+    type(substep_solution), intent(out) :: step
+    integer, intent(inout) :: status(LANES)
+    integer :: i
+
+    step%share = share
+    step%mod_D = share * inc%mod_D
+    step%tr_D = share * inc%tr_D
+    step%S = times(step%mod_D, inc%S_hat)
+    step%w = times_spin(share, inc%spin)
+    call quadrature_nodes(x%log_phi, log_phi_end, step%t, step%dt)
+    do i = 1, N_NODES
+      step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
+    end do
+    x%phi = x%phi * exponential(-step%tr_D)
+    step%phi_end = x%phi
+    x%log_phi = log_phi_end
+    if (par%closure == CRITICAL) then
+      do i = 1, N_NODES
+        call critical_state(par, inc%S_hat, step%phi(:, i), step%A(:, :, i), step%excess(:, i))
+      end do
+      call critical_state(par, inc%S_hat, x%phi, step%A(:, :, AT_END), step%excess(:, AT_END))
+    else
+      call evolve_microstructure(par, x, step, status)
+    end if
+    x%A = step%A(:, :, AT_END)
+    x%excess = step%excess(:, AT_END)
+    if (par%elastic_strain > 0) then
+      call relax(par, inc, step, x%dev)
+    else
+      x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
+    end if
+  end subroutine take_substep
+
+  !> Fabric and coordination number of a substep.
+  pure subroutine evolve_microstructure(par, x, step, status)
+    type(material_parameters), intent(in) :: par
+    type(internal_state), intent(in) :: x         ! at the start
+    type(substep_solution), intent(inout) :: step
+    integer, intent(inout) :: status(LANES)
+    real(dp) :: one(LANES)
+    integer :: i
+
+    call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
+    call projections_at(par, step%fabric, step%t, step%y, step%A_S)
+    if (par%elastic_strain > 0) then
+      do i = 1, N_NODES
+        call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
+      end do
+    end if
+    one = 1
+    call fabric_at(step%fabric, one, step%A(:, :, AT_END), step%y_end)
+    where (status == OK .and. .not. (step%y_end > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
+      status = FABRIC_BLOWS_UP
+    call integrate_coordination(par, x%excess, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+      par%elastic_strain > 0, step%growth, step%integrand, step%excess)
+  end subroutine evolve_microstructure
+
+  !> The deviatoric stress after a substep with e_r > 0: what is left of the old one, and the model's at the nodes and the end by
+  !! their weights, all rotated to the end.
+  pure subroutine relax(par, inc, step, dev)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(substep_solution), intent(inout) :: step
+    real(dp), intent(inout) :: dev(LANES, 5)
+    real(dp) :: ratio(LANES), u(LANES, AT_END), one(LANES)
+    integer :: i
+
+    one = 1
+    ratio = step%mod_D / par%elastic_strain
+    u(:, :N_NODES) = 1 - step%t
+    u(:, AT_END) = 0
+    step%weights(:, 0) = exp(-ratio)
+    step%weights(:, 1:) = relaxation_weights(ratio, u)
+    step%R(:, :, :, 0) = rotation_of_deviators(small_rotation(step%w))
+    dev = times(step%weights(:, 0), matrix_times(step%R(:, :, :, 0), dev))
+    step%rotated(:, :, 0) = dev
+    do i = 1, AT_END
+      step%p(:, i) = pressure(par, pressure_factor(par, step%A(:, :, i), inc%tr_direction), step%excess(:, i))
+      step%dev_over_p(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
+      step%rotated(:, :, i) = times(step%p(:, i), step%dev_over_p(:, :, i))
+      if (i < AT_END) then
+        step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
+        step%rotated(:, :, i) = matrix_times(step%R(:, :, :, i), step%rotated(:, :, i))
+      end if
+      dev = dev + times(step%weights(:, i), step%rotated(:, :, i))
+    end do
+  end subroutine relax
+
+end module granumat_substeps

@@ -1,0 +1,408 @@
+!> The consistent tangent of the exact update in closed form, by adjoint (reverse-mode) differentiation: docs/theory.md, section 7.
+!!
+!! The functions that are differentiated are six, however many derivatives are wanted: the components of the stress deviator and the
+!! pressure at the end of the increment. An adjoint holds the derivatives of one of them by what evolves and by the increment. It
+!! starts at the end (seed_adjoints), goes through the substeps in reverse order (adjoint_substep), and gives the derivatives by
+!! strain and spin at the start (tangent_from_adjoints).
+!!
+!! S, |S|, tr D, W, |D|, S^ and tr D^ are differentiated as if they were independent; tangent_from_adjoints brings them together.
+module granumat_tangent
+  use granumat_kinds, only: dp, LANES
+  use granumat_fabric, only: MAX_TERMS, adjoint_fabric
+  use granumat_increment, only: increment
+  use granumat_law, only: excess_target, excess_target_slope
+  use granumat_parameters, only: material_parameters, CRITICAL
+  use granumat_quadrature, only: INTEGRAL, N_NODES, exponential
+  use granumat_relaxation, only: relaxation_weights_slope
+  use granumat_status, only: OK
+  use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes
+  use granumat_substeps, only: AT_END, internal_state, substep_record, substep_solution, take_substep
+  use granumat_tensors, only: add_identity, commutator_of_spins, contract, magnitude, product_matrix, rotation_series, &
+    spin_derivative, times, times_spin, to_voigt, transposed_times
+  implicit none (type, external)
+  private
+  public :: consistent_tangent
+
+  integer, parameter, public :: N_COLUMNS = 9                 ! strains 11 22 33, engineering shears 12 13 23, spins 12 13 23
+  integer, parameter, public :: PLANE_COLUMNS(4) = [1, 2, 4, 7]
+  integer, parameter, public :: N_ADJOINTS_3D = 6             ! five components of the deviator and the pressure
+  integer, parameter, public :: N_ADJOINTS_PLANE = 4          ! the first three components and the pressure: plane strain in 1 and 2
+  ! bound of the first neglected term of the adjoint of the fabric's series over its first one
+  real(dp), parameter :: ADJOINT_SERIES_TOLERANCE = 1.0e-9_dp
+
+  !> The derivatives of one function of the stress at the end: by what evolves, at the start of the substeps passed so far, and by
+  !! the increment.
+  type :: adjoint
+    real(dp) :: A(LANES, 5), dev(LANES, 5), excess(LANES), log_phi(LANES)
+    real(dp) :: S(LANES, 5), S_hat(LANES, 5), w(LANES, 3)
+    real(dp), dimension(LANES) :: mod_S, tr_D, mod_D, tr_direction
+  end type adjoint
+
+  !> The derivatives of one function by A and Z2 - Zc at the quadrature nodes and the end of a substep.
+  type :: node_adjoint
+    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)
+  end type node_adjoint
+
+  !> What the adjoints of all functions share in a substep, at the nodes (only with e_r > 0) and the end.
+  type :: shared_derivatives
+    real(dp) :: weight(LANES, 0:MAX_TERMS, AT_END)            !! t^k, 0 where a lane needs no such term
+    real(dp) :: by_y(LANES, 0:MAX_TERMS, AT_END)              !! of Z2 - Zc there by y_k of the fabric
+    real(dp), dimension(LANES, AT_END) :: inverse_y           !! 1/y
+    real(dp), dimension(LANES, AT_END) :: by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi   !! of Z2 - Zc there
+    integer :: first, terms
+  end type shared_derivatives
+
+contains
+
+  !> The derivative of the stress at the end by strain and spin; of the substeps all but the last are taken again.
+  pure subroutine consistent_tangent(par, inc, x, record, n, tangent)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal_state), intent(in) :: x                     ! at the end
+    type(substep_record), intent(inout) :: record             ! of all substeps
+    integer, intent(in) :: n                                  ! functions: the first n - 1 components of the deviator, the pressure
+    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
+    type(adjoint) :: f(N_ADJOINTS_3D)
+    type(internal_state) :: again
+    integer :: i, status(LANES)
+
+    call seed_adjoints(par, inc, x, f(:n))
+    do i = record%steps, 1, -1
+      if (i < record%steps) then
+        again = record%earlier(i)%x
+        status = OK
+        call take_substep(par, inc, record%earlier(i)%share, record%earlier(i)%log_phi_end, again, record%solution, status)
+      end if
+      call adjoint_substep(par, inc, record%solution, f(:n))
+    end do
+    call tangent_from_adjoints(inc, f(:n), tangent)
+  end subroutine consistent_tangent
+
+  !> The adjoints at the end of the increment: the last function is the pressure, the others are components of the deviator.
+  pure subroutine seed_adjoints(par, inc, x, f)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(internal_state), intent(in) :: x
+    type(adjoint), intent(out) :: f(:)
+    type(pressure_derivative) :: by
+    real(dp) :: one(LANES), p(LANES), dev_over_p(LANES, 5), by_A(LANES, 5, 5), by_S_hat(LANES, 5, 5)
+    integer :: i, n
+
+    n = size(f)
+    by = pressure_slopes(par, x%A, inc%tr_direction, x%excess)
+    do i = 1, n
+      call clear(f(i))
+    end do
+    f(n)%A = times(by%A, x%A)
+    f(n)%excess = by%excess
+    f(n)%tr_direction = by%trace
+    if (par%elastic_strain > 0) then
+      do i = 1, n - 1
+        f(i)%dev(:, i) = 1
+      end do
+    else
+      one = 1
+      dev_over_p = stress_deviator(par, x%A, inc%S_hat, one)
+      p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess)
+      call deviator_slopes(par, x%A, inc%S_hat, product_matrix(inc%S_hat), p, by_A, by_S_hat)
+      do i = 1, n - 1
+        f(i)%A = by_A(:, :, i) + times(dev_over_p(:, i), f(n)%A)
+        f(i)%excess = dev_over_p(:, i) * by%excess
+        f(i)%tr_direction = dev_over_p(:, i) * by%trace
+        f(i)%S_hat = by_S_hat(:, i, :)
+      end do
+    end if
+  end subroutine seed_adjoints
+
+  pure subroutine clear(f)
+    type(adjoint), intent(out) :: f
+    f%A = 0
+    f%dev = 0
+    f%excess = 0
+    f%log_phi = 0
+    f%S = 0
+    f%S_hat = 0
+    f%w = 0
+    f%mod_S = 0
+    f%tr_D = 0
+    f%mod_D = 0
+    f%tr_direction = 0
+  end subroutine clear
+
+  !> Takes adjoints from the end of a substep to its start.
+  pure subroutine adjoint_substep(par, inc, step, f)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(substep_solution), intent(in) :: step
+    type(adjoint), intent(inout) :: f(:)
+    type(shared_derivatives) :: shared
+    type(node_adjoint) :: at(N_ADJOINTS_3D)
+    integer :: i, n
+
+    n = size(f)
+    do i = 1, n
+      at(i)%A(:, :, AT_END) = f(i)%A
+      at(i)%excess(:, AT_END) = f(i)%excess
+      f(i)%tr_D = f(i)%tr_D - step%share * f(i)%log_phi
+    end do
+    if (par%elastic_strain > 0) call adjoint_relaxation(par, inc, step, f(:n - 1), at(:n - 1))
+    if (par%closure == CRITICAL) then
+      do i = 1, n
+        call adjoint_critical_state(par, step, merge(1, AT_END, par%elastic_strain > 0 .and. i < n), at(i), f(i))
+      end do
+    else
+      call share_derivatives(par, step, shared)
+      do i = 1, n
+        call adjoint_coordination(par, step, shared, merge(shared%first, AT_END, i < n), at(i), f(i))
+      end do
+    end if
+  end subroutine adjoint_substep
+
+  !> The derivatives of Z2 - Zc at the nodes and the end, m, which all adjoints share (docs/theory.md, section 7.6), from
+  !!   (Z2 - Zc)_m = decay_m [(Z2 - Zc)_0 + sum_i INTEGRAL(i, m) growth_i dt_i forcing_i],  decay_m = exp(-d2 |D| t_m).
+  pure subroutine share_derivatives(par, step, shared)
+    type(material_parameters), intent(in) :: par
+    type(substep_solution), intent(in) :: step
+    type(shared_derivatives), intent(out) :: shared
+    real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before
+    real(dp), dimension(LANES) :: t, decay, power, needed(LANES, 0:MAX_TERMS)
+    real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
+    integer :: i, k, m
+
+    shared%first = merge(1, AT_END, par%elastic_strain > 0)
+    shared%terms = count([(any(step%fabric%bound(:, i) >= ADJOINT_SERIES_TOLERANCE), i = 0, step%fabric%terms - 1)])
+    do i = 1, N_NODES
+      f(:, i) = excess_target(par, step%phi(:, i) - par%phic)
+      f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_target_slope(par, step%phi(:, i) - par%phic)
+    end do
+    shared%inverse_y(:, :N_NODES) = 1 / step%y
+    shared%inverse_y(:, AT_END) = 1 / step%y_end
+    before = 1
+    needed(:, 0) = 1
+    by_y(:, :, 0) = 0
+    do k = 1, shared%terms                              ! by lane: a point's tangent does not depend on its neighbours
+      needed(:, k) = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= ADJOINT_SERIES_TOLERANCE)
+      do i = 1, N_NODES
+        by_y(:, i, k) = -par%d1 * needed(:, k) * before(:, i) * (k / par%c3 + step%t(:, i) * step%A_S(:, i)) &
+          * shared%inverse_y(:, i)
+        before(:, i) = before(:, i) * step%t(:, i)
+      end do
+    end do
+    do m = shared%first, AT_END
+      t = 1
+      decay = exponential(-par%d2 * step%mod_D)
+      if (m < AT_END) t = step%t(:, m)
+      if (m < AT_END) decay = 1 / step%growth(:, m)
+      do i = 1, N_NODES
+        kernel(:, i) = INTEGRAL(i, m) * step%growth(:, i) * step%dt(:, i) * decay
+      end do
+      shared%by_excess(:, m) = decay
+      shared%by_mod_S(:, m) = 0
+      shared%by_mod_D(:, m) = -t * step%excess(:, m)
+      shared%by_tr_D(:, m) = 0
+      shared%by_log_phi(:, m) = 0
+      do i = 1, N_NODES
+        shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i)
+        shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + INTEGRAL(i, m) * decay * step%t(:, i) * step%integrand(:, i) &
+          + kernel(:, i) * f(:, i)
+        shared%by_tr_D(:, m) = shared%by_tr_D(:, m) - kernel(:, i) * f_slope(:, i) * step%t(:, i)
+        shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
+      end do
+      shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
+      shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
+      shared%by_mod_D(:, m) = par%d2 * step%share * shared%by_mod_D(:, m)
+      power = 1
+      do k = 0, shared%terms
+        shared%weight(:, k, m) = needed(:, k) * power
+        shared%by_y(:, k, m) = kernel(:, 1) * by_y(:, 1, k) + kernel(:, 2) * by_y(:, 2, k) + kernel(:, 3) * by_y(:, 3, k) &
+          + kernel(:, 4) * by_y(:, 4, k)
+        power = power * t
+      end do
+    end do
+  end subroutine share_derivatives
+
+  !> The adjoints of the coordination number and the fabric: to A and Z2 - Zc at the start.
+  pure subroutine adjoint_coordination(par, step, shared, first, at, f)
+    type(material_parameters), intent(in) :: par
+    type(substep_solution), intent(in) :: step
+    type(shared_derivatives), intent(in) :: shared
+    integer, intent(in) :: first                         ! of the nodes at which the function depends on A and Z2
+    type(node_adjoint), intent(in) :: at
+    type(adjoint), intent(inout) :: f
+    real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, AT_END), by_y(LANES, AT_END)
+    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3), total, more
+    integer :: i, j, k, m
+
+    f%excess = 0
+    do m = first, AT_END
+      f%excess = f%excess + at%excess(:, m) * shared%by_excess(:, m)
+      f%mod_D = f%mod_D + at%excess(:, m) * shared%by_mod_D(:, m)
+      f%mod_S = f%mod_S + at%excess(:, m) * shared%by_mod_S(:, m)
+      f%tr_D = f%tr_D + at%excess(:, m) * shared%by_tr_D(:, m)
+      f%log_phi = f%log_phi + at%excess(:, m) * shared%by_log_phi(:, m)
+      by_B(:, :, m) = times(shared%inverse_y(:, m), at%A(:, :, m))
+      by_y(:, m) = -contract(by_B(:, :, m), step%A(:, :, m))
+    end do
+    if (first == AT_END) then
+      do k = 0, shared%terms
+        g_y(:, k) = shared%weight(:, k, AT_END) * by_y(:, AT_END) + shared%by_y(:, k, AT_END) * at%excess(:, AT_END)
+        do j = 1, 5
+          g_B(:, j, k) = shared%weight(:, k, AT_END) * by_B(:, j, AT_END)
+        end do
+      end do
+    else
+      do k = 0, shared%terms
+        do i = 1, LANES
+          total = 0
+          more = 0
+          do m = 1, AT_END
+            total = total + shared%weight(i, k, m) * by_y(i, m)
+            more = more + shared%by_y(i, k, m) * at%excess(i, m)
+          end do
+          g_y(i, k) = total + more
+          do j = 1, 5
+            total = 0
+            do m = 1, AT_END
+              total = total + shared%weight(i, k, m) * by_B(i, j, m)
+            end do
+            g_B(i, j, k) = total
+          end do
+        end do
+      end do
+    end if
+    call adjoint_fabric(step%fabric, shared%terms, g_B, g_y, f%A, by_S, by_decay, by_spin)
+    f%S = f%S + times(step%share, by_S)
+    f%mod_D = f%mod_D + par%c2 * step%share * by_decay
+    f%w = f%w + times_spin(step%share, by_spin)
+  end subroutine adjoint_coordination
+
+  !> The adjoint of the critical-state closure, A = lambda S^ and Z2 = f(phi).
+  pure subroutine adjoint_critical_state(par, step, first, at, f)
+    type(material_parameters), intent(in) :: par
+    type(substep_solution), intent(in) :: step
+    integer, intent(in) :: first
+    type(node_adjoint), intent(in) :: at
+    type(adjoint), intent(inout) :: f
+    real(dp), dimension(LANES) :: t, phi, by_log_phi
+    integer :: m
+
+    do m = first, AT_END
+      t = 1
+      phi = step%phi_end
+      if (m < AT_END) t = step%t(:, m)
+      if (m < AT_END) phi = step%phi(:, m)
+      by_log_phi = at%excess(:, m) * excess_target_slope(par, phi - par%phic) * phi
+      f%log_phi = f%log_phi + by_log_phi
+      f%tr_D = f%tr_D - t * step%share * by_log_phi
+      f%S_hat = f%S_hat + par%lambda * at%A(:, :, m)
+    end do
+    f%A = 0
+    f%excess = 0
+  end subroutine adjoint_critical_state
+
+  !> The adjoint of the relaxing deviator: to the deviator at the start, to the spin and |D|, and to A and Z2 - Zc at the nodes
+  !! and the end through the model's stress there.
+  pure subroutine adjoint_relaxation(par, inc, step, f, at)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(substep_solution), intent(in) :: step
+    type(adjoint), intent(inout) :: f(:)                  ! components of the deviator
+    type(node_adjoint), intent(inout) :: at(:)
+    real(dp) :: by_mod_D(LANES, 5), rotated(LANES, 5, 0:2), twice(LANES, 3), q(LANES, 5), by_p(LANES)
+    real(dp), dimension(LANES, 5, 5) :: S_matrix, by_A, by_S_hat
+    type(pressure_derivative) :: by
+    integer :: i, m
+
+    call share_rotations(par, step, by_mod_D, rotated)
+    S_matrix = product_matrix(inc%S_hat)
+    do m = 1, AT_END
+      by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
+      call deviator_slopes(par, step%A(:, :, m), inc%S_hat, S_matrix, step%p(:, m), by_A, by_S_hat)
+      do i = 1, size(f)
+        q = f(i)%dev
+        if (m < AT_END) q = transposed_times(step%R(:, :, :, m), q)
+        q = times(step%weights(:, m), q)
+        by_p = contract(q, step%dev_over_p(:, :, m))
+        f(i)%tr_direction = f(i)%tr_direction + by_p * by%trace
+        f(i)%S_hat = f(i)%S_hat + transposed_times(by_S_hat, q)
+        q = transposed_times(by_A, q) + times(by_p * by%A, step%A(:, :, m))
+        by_p = by_p * by%excess
+        if (m == AT_END) q = q + f(i)%A
+        if (m == AT_END) by_p = by_p + f(i)%excess
+        at(i)%A(:, :, m) = q
+        at(i)%excess(:, m) = by_p
+      end do
+    end do
+    do i = 1, size(f)
+      f(i)%mod_D = f(i)%mod_D + contract(f(i)%dev, by_mod_D)
+      twice = commutator_of_spins(step%w, spin_derivative(f(i)%dev, rotated(:, :, 2)))
+      f(i)%w = f(i)%w + times_spin(step%share, spin_derivative(f(i)%dev, rotated(:, :, 0)) &
+        + commutator_of_spins(step%w, twice - spin_derivative(f(i)%dev, rotated(:, :, 1))))
+      f(i)%dev = times(step%weights(:, 0), transposed_times(step%R(:, :, :, 0), f(i)%dev))
+    end do
+  end subroutine adjoint_relaxation
+
+  !> The derivative of the relaxing deviator by |D|, and sums from which follows that by the spin.
+  !!
+  !! With V a change of the spin w, a rotation exp(w u) changes by the spin
+  !!   u V + u^2 second [w, V] + u^3 third [w, [w, V]],  second = (1 - cos(a))/a^2, third = (a - sin(a))/a^3, a the angle of w u.
+  !! rotated(:, :, 0:2) are the deviators rotated to the end, weighted and summed with the factors of these three terms.
+  pure subroutine share_rotations(par, step, by_mod_D, rotated)
+    type(material_parameters), intent(in) :: par
+    type(substep_solution), intent(in) :: step
+    real(dp), intent(out) :: by_mod_D(LANES, 5), rotated(LANES, 5, 0:2)
+    real(dp) :: u(LANES, AT_END), slopes(LANES, AT_END), second(LANES), third(LANES), weight(LANES)
+    integer :: m
+
+    u(:, :N_NODES) = 1 - step%t
+    u(:, AT_END) = 0
+    slopes = relaxation_weights_slope(step%mod_D / par%elastic_strain, u)
+    call rotation_series(step%w, second, third)
+    by_mod_D = -step%rotated(:, :, 0)
+    rotated(:, :, 0) = step%rotated(:, :, 0)
+    rotated(:, :, 1) = times(second, step%rotated(:, :, 0))
+    rotated(:, :, 2) = times(third, step%rotated(:, :, 0))
+    do m = 1, AT_END
+      by_mod_D = by_mod_D + times(slopes(:, m), step%rotated(:, :, m))
+      call rotation_series(times_spin(u(:, m), step%w), second, third)
+      weight = step%weights(:, m) * u(:, m)
+      rotated(:, :, 0) = rotated(:, :, 0) + times(weight, step%rotated(:, :, m))
+      rotated(:, :, 1) = rotated(:, :, 1) + times(weight * u(:, m) * second, step%rotated(:, :, m))
+      rotated(:, :, 2) = rotated(:, :, 2) + times(weight * u(:, m)**2 * third, step%rotated(:, :, m))
+    end do
+    by_mod_D = times(step%share / par%elastic_strain, by_mod_D)
+  end subroutine share_rotations
+
+  !> The derivatives of the stress at the end, tension positive, by strain and spin, from adjoints at the start of the increment.
+  pure subroutine tangent_from_adjoints(inc, f, tangent)
+    type(increment), intent(in) :: inc
+    type(adjoint), intent(in) :: f(:)
+    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
+    real(dp) :: rows(LANES, N_COLUMNS, N_ADJOINTS_3D), strain(LANES, 6)
+    real(dp), dimension(LANES) :: inverse, inverse_S, by_mod_D, by_tr_D
+    integer :: i, j, n
+
+    n = size(f)
+    inverse = 1 / max(inc%mod_D, tiny(1.0_dp))
+    inverse_S = 1 / max(2 * magnitude(inc%S_hat), tiny(1.0_dp))          ! of |S|/|D|
+    rows(:, :, n:) = 0
+    do i = 1, n
+      by_mod_D = (f(i)%mod_D - inverse * (contract(f(i)%S_hat, inc%S_hat) + f(i)%tr_direction * inc%tr_direction)) / 2
+      by_tr_D = f(i)%tr_D + inverse * f(i)%tr_direction
+      strain = to_voigt(f(i)%S + times(inverse, f(i)%S_hat) + times(inverse_S * f(i)%mod_S, inc%S_hat))
+      do j = 1, 6
+        strain(:, j) = strain(:, j) + by_mod_D * inc%direction(:, j)
+      end do
+      do j = 1, 3
+        strain(:, j) = strain(:, j) + by_tr_D
+      end do
+      j = merge(i, N_ADJOINTS_3D, i < n)
+      rows(:, :6, j) = strain
+      rows(:, 7:, j) = f(i)%w
+    end do
+    do j = 1, N_COLUMNS
+      tangent(:, :, j) = add_identity(to_voigt(rows(:, j, :5)), -rows(:, j, 6))
+    end do
+  end subroutine tangent_from_adjoints
+
+end module granumat_tangent
