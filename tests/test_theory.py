@@ -4,6 +4,8 @@ Numbers in comments are the page's sections and the paper's equations. Substeps 
 """
 
 import math
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -274,3 +276,11 @@ def test_the_formulas_of_the_theory_page_give_the_states_and_tangents_of_the_cor
         found = new["fabric"][0], new["coordination_number"][0], new["volume_fraction"][0], new["stress"][0], tangent[0]
         errors = [np.abs(x - y).max() / np.abs(y).max() for x, y in zip(found, expected)]
         assert max(errors) < 1e-9, errors
+
+
+def test_every_name_on_the_page_is_in_the_code():
+    root = Path(__file__).parents[1]
+    code = "\n".join(file.read_text(encoding="utf-8") for file in sorted((root / "fortran").glob("*/*.f90")))
+    names = set(re.findall(r"`(?:\w+%)?([A-Za-z]\w*)`", (root / "docs" / "theory.md").read_text(encoding="utf-8")))
+    assert len(names) > 40
+    assert not {name for name in names if not re.search(rf"\b{name}\b", code, re.IGNORECASE)}

@@ -154,7 +154,7 @@ def test_the_header_declares_what_the_library_has(tmp_path):
     declared = set(re.findall(r"void (granumat_\w+)\(", header))
     exported = {name for _, name in symbols("-D", "--defined-only", BUILD / "python" / "granumat" / "libgranumat_core.so")}
     assert declared and declared <= exported
-    assert all(name.startswith("core_") for name in exported)
+    assert all(name.startswith("granumat_") for name in exported)
     (tmp_path / "sizes.c").write_text('#include "granumat.h"\n#include <stdio.h>\n'
                                       'int main(void) { printf("%zu %zu", sizeof(struct granumat_parameters), '
                                       'sizeof(struct granumat_state)); return 0; }\n')

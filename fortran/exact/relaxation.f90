@@ -11,7 +11,7 @@ module granumat_relaxation
   public :: relaxation_weights, relaxation_weights_slope
 
   real(dp), parameter :: MOMENT_TOLERANCE = 1.0e-17_dp      ! last term of the series over the sum: below round-off
-  real(dp), parameter :: FORWARD_RECURRENCE_FROM = 12      ! ratio above which the forward recurrence loses less than two digits
+  real(dp), parameter :: FORWARD_RECURRENCE_FROM = 5       ! ratio from which the forward recurrence is exact to round-off
 
 contains
 

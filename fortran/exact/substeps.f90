@@ -105,8 +105,9 @@ contains
     log_phi_start = x%log_phi
     do step = 1, MAX_SUBSTEPS
       if (all(remainder <= 0)) return
-      if (any(mod_A > par%fabric_limit)) &              ! above the limit |A| can grow, and the bound with it
+      if (any(mod_A > par%fabric_limit)) then           ! above the limit |A| can grow, and the bound with it
         rate = merge(rate_bound(par, inc, mod_A), rate, mod_A > par%fabric_limit)
+      end if
       steps = remainder * kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end) / SUBSTEP_RATE
       next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
       log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
@@ -140,6 +141,9 @@ contains
   end subroutine add_start
 
   !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2 and phi can change where the law is smooth.
+  !!
+  !! The factor 2 keeps d2 |D|, |tr D| and the angle of a substep at or below SUBSTEP_RATE/2 = 0.2, up to where `exponential` and
+  !! `rotation_series` are exact to round-off.
   pure function rate_bound(par, inc, mod_A) result(rate)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc

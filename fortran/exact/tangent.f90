@@ -165,7 +165,8 @@ contains
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(out) :: shared
     real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before
-    real(dp), dimension(LANES) :: t, decay, power, needed(LANES, 0:MAX_TERMS)
+    real(dp), dimension(LANES) :: t, decay, power
+    real(dp) :: needed(LANES, 0:MAX_TERMS)               ! 1 where a lane needs the term, else 0
     real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
     integer :: i, k, m
 

@@ -20,7 +20,7 @@ module granumat_umat
   private
   public :: advance
 
-  ! What each number of PROPS and STATEV is. README and the decks repeat this table, a test compares them.
+  ! What each number of PROPS and STATEV is. docs/umat.md and the decks repeat this table, a test compares them.
   integer, parameter :: P_MU = 1                !! interparticle friction coefficient, 0 to 1
   integer, parameter :: P_STIFFNESS = 2         !! stress unit: k/d (Hookean), k_Hz (Hertzian)
   integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic
@@ -174,8 +174,9 @@ contains
     lanes_L = 0
     found = spin_from == SPIN_NONE
     if (spin_from == SPIN_DROT .and. present(drot)) call rotation_logarithm(spread(drot, 1, LANES), lanes_L, found)
-    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) &
+    if (spin_from >= SPIN_DFGRD .and. present(dfgrd0) .and. present(dfgrd1)) then
       call gradient_logarithm(spread(dfgrd0, 1, LANES), spread(dfgrd1, 1, LANES), lanes_L, found)
+    end if
     L = lanes_L(1, :, :)
     if (spin_from >= SPIN_DFGRD) then
       strain = [L(1, 1), L(2, 2), L(3, 3), L(1, 2) + L(2, 1), L(1, 3) + L(3, 1), L(2, 3) + L(3, 2)]
@@ -185,20 +186,22 @@ contains
     if (.not. (found(1) .and. norm2(spin) < LARGEST_ANGLE)) status = BAD_DEFORMATION
   end subroutine read_increment
 
-  !> From the derivative of the unrotated stress to U (dS/dE) U U, which CalculiX pulls back by U^-1 into the derivative dS/dE of
-  !! its stress S = J U^-1 stress U^-1 by Lagrange's strain: J (tangent + stress tr D - stress D - D stress), column D by column.
+  !> Takes the derivative of the unrotated stress to U (dT/dE) U U, from which CalculiX makes the derivative dT/dE of its second
+  !! Piola-Kirchhoff stress T = J U^-1 stress U^-1 by Lagrange's strain E, with U^-1 on all four indices. Its column for the unit
+  !! strain D is J (tangent + stress tr D - stress D - D stress); what is left out is of the order of the increment
+  !! (docs/theory.md, section 10.3).
   pure subroutine take_to_reference(F, stress, tangent)
     real(dp), intent(in) :: F(3, 3), stress(6)
     real(dp), intent(inout) :: tangent(:, :)
-    real(dp) :: D(6), carried(LANES, 6), cofactor(3)
+    real(dp) :: D(6), products(LANES, 6), cofactor(3)
     integer :: j
 
     cofactor = [F(2, 2) * F(3, 3) - F(3, 2) * F(2, 3), F(3, 2) * F(1, 3) - F(1, 2) * F(3, 3), F(1, 2) * F(2, 3) - F(2, 2) * F(1, 3)]
     do j = 1, size(tangent, 2)
       D = 0
       D(j) = merge(1.0_dp, 0.5_dp, j <= 3)
-      carried = product_symmetric(spread(stress, 1, LANES), spread(D, 1, LANES))
-      tangent(:, j) = dot_product(F(:, 1), cofactor) * (tangent(:, j) + stress * sum(D(:3)) - carried(1, :))
+      products = product_symmetric(spread(stress, 1, LANES), spread(D, 1, LANES))
+      tangent(:, j) = dot_product(F(:, 1), cofactor) * (tangent(:, j) + stress * sum(D(:3)) - products(1, :))
     end do
   end subroutine take_to_reference
 

@@ -165,7 +165,7 @@ contains
       call one_step(par, inc, RK4_NODE, RK4_WEIGHT, y, status)
     case (BOGACKI_SHAMPINE)
       call embedded_pair(par, by%tolerance, inc, y, status)
-    case (BACKWARD_EULER)
+    case default                               ! BACKWARD_EULER
       call implicit_step(par, inc, y, status)
     end select
     where (status == OK) status = status_of(y)
