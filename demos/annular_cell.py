@@ -1,4 +1,4 @@
-"""The annular shear cell that annulus.py and where_it_fails.py turn: its walls and conditions, and what is measured on it."""
+"""The annular shear cell of annulus.py, regularisation.py and where_it_fails.py: walls, conditions, measurements, pictures."""
 
 import csv
 from pathlib import Path
@@ -16,11 +16,12 @@ HEIGHT = 0.2                                    # of meshes in three dimensions
 
 def ring(material, rings, sectors, turn, *, wall="load", part=1.0, rotated=0.0, twist=0.0, cell="quadrilateral", start=None,
          **more):
-    """The problem, and its inner wall; pseudo-time is the wall's path in radians, and the wall turns back after `turn`.
+    """The problem, and its inner wall. Pseudo-time is the wall's path in radians; the wall turns back after `turn`.
 
-    The outer wall, round and not turning, is under PRESSURE ("load") or held ("volume"). A part of the ring is tied to itself by
-    rotation. `rotated` turns the whole scene to begin with, `twist` the nodes on the inner wall back, in the mesh: the first ring,
-    where the shear localises, is then least distorted when the wall has turned by as much. More goes to Problem.
+    The outer wall stays round and does not rotate; it is under PRESSURE (wall = "load") or held (wall = "volume"). `part` is the
+    modelled part of the ring, whose two sides are periodic under rotation. `rotated` is an angle by which the whole mesh is
+    rotated. `twist` rotates the nodes on the inner wall back, so that the first ring of cells, where the shear localises, is least
+    distorted once the wall has turned by that angle. `more` are arguments of Problem.
     """
     flat = cell in ("quadrilateral", "triangle")
     mesh = fem.meshes.annulus(MPI.COMM_WORLD, (INNER, OUTER), (rings, sectors) if flat else (rings, sectors, 1),
@@ -91,7 +92,7 @@ class Watch:
 
 
 def sheared_zone(problem):
-    """Distance from the inner wall over which 90 % of its turn is lost, in the last increment."""
+    """Distance from the inner wall at which the last increment's rotation is a tenth of the wall's."""
     now = (problem.positions + problem.displacement)[:, :2]
     x = now - problem.last.u[:, :2]
     angle = np.arctan2(x[:, 0] * now[:, 1] - x[:, 1] * now[:, 0], (x * now).sum(axis=1))

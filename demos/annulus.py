@@ -1,10 +1,10 @@
 # %% [markdown]
 # # Annular shear cell: the inner wall turns, then turns back
 #
-# The scene of Toiya, Stambaugh & Losert (Phys. Rev. Lett. 93, 088001, 2004), without its bottom: grains between a rough inner wall,
+# The cell of Toiya, Stambaugh & Losert (Phys. Rev. Lett. 93, 088001, 2004), without its bottom: grains between a rough inner wall,
 # which turns, and a rough outer wall, which is pressed inwards by a constant normal stress or, in a second run, held (constant
 # volume). Plane strain. After the reversal the torque falls, changes sign and comes back, and the pressure at the wall and the
-# packing there pass through a transient. The solution depends on the radius alone: `radial.py` finds it without finite elements.
+# packing there pass through a transient. The solution depends on the radius alone; `radial.py` finds it without finite elements.
 
 # %%
 import fields

@@ -2,9 +2,9 @@
 # # A block between rough platens, and what regularises its shear bands
 #
 # Plane-strain compression under a constant side pressure. The rough platens hold dead wedges; between them shear concentrates into
-# crossing bands. The law has no length: every refinement makes the bands thinner and the block weaker. The elastic strain scale
-# changes how the force rises, not that. The rate term does: from mesh to mesh the bands change half as much or less, for a force
-# that is 10 to 13 % higher, as large as the rate term was chosen; the coarse meshes stay too stiff with it.
+# crossing bands. The law has no length scale: every refinement makes the bands thinner and the block weaker. The elastic
+# strain changes how the force rises, but not this. The rate term changes it: from mesh to mesh the bands change at most half as
+# much. A rate term of the size chosen here raises the force by 10 to 13 %, and coarse meshes stay too stiff.
 
 # %%
 import fields

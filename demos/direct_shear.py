@@ -3,9 +3,9 @@
 #
 # A saturated packing keeps its volume. Rough platens below and above drag its grains along, side walls tilt about their feet, and
 # the top goes to and fro. A packing near phi = 0.59 liquefies: its pressure falls to zero, and comes back when the shear goes on in
-# one direction; a denser one keeps a finite pressure. With rough side walls the box is the single point. Smooth ones, as in the
-# usual apparatus, cannot give the shear stress that balances the platens': one row of cells at the ends dilates, the rest is
-# compacted a little, and the mean pressure falls a little more slowly.
+# one direction; a denser one keeps a finite pressure. With rough side walls the box deforms homogeneously, as a single point.
+# Smooth ones, as in the usual apparatus, carry no shear stress to balance the platens': one row of cells at the ends dilates, all
+# others are compacted a little, and the mean pressure falls a little more slowly.
 
 # %%
 import fields
@@ -20,7 +20,7 @@ PRESSURE = 0.01                        # at the start
 AMPLITUDE = 0.1                        # of the shear strain
 ONWARD = 0.8                           # shear strain in one direction after the cycles
 LENGTH = 3                             # of the box, whose height is 1
-LIQUEFIED = 0.025 * PRESSURE            # mean pressure from where a box with smooth ends, loose in part, is not followed further
+LIQUEFIED = 0.025 * PRESSURE            # mean pressure below which the run with smooth ends stops: parts of it carry nothing
 RANK = MPI.COMM_WORLD.rank
 SHORT = {"cells": 2, "increments": 12, "cycles": 2}
 
@@ -54,7 +54,7 @@ def history(phi, cells, increments, cycles, rough):
 
     def watch(problem):
         nonlocal point, t
-        if rows and problem.t == t:                     # every run shows where it starts
+        if rows and problem.t == t:                     # the end of one run is shown again at the start of the next
             return
         gradient = np.zeros((3, 3))
         gradient[0, 1] = shear_strain(problem.t) - shear_strain(t)

@@ -1,4 +1,4 @@
-"""What demos share: where they draw, fields of plane bodies, means over layers."""
+"""What the demos share: output directory, fields of plane bodies, means over layers."""
 
 import sys
 from pathlib import Path
@@ -29,18 +29,18 @@ def draw(axes, field, label):
 
 
 def over_layers(problem, heights, layers, values):
-    """Means (layers) of values (points) over layers of equal height; heights (points) over that of the body. On all ranks."""
+    """Means (layers) of values (points) over layers of equal height, on all ranks; heights (points) are 0 to 1."""
     layer = np.minimum(heights * layers, layers - 0.5).astype(int)
     total, points = problem.comm.allreduce(np.stack([np.bincount(layer, values, layers), np.bincount(layer, minlength=layers)]))
     return total / points
 
 
 def directory():
-    """The one that the command line names, results/fem if it names none."""
+    """The directory that the command line names, results/fem if it names none."""
     return sys.argv[1] if len(sys.argv) > 1 else "results/fem"
 
 
 def save(figure, out, name):
-    """As NAME.png into the directory `out`."""
+    """Writes a figure as NAME.png into the directory `out`."""
     Path(out).mkdir(parents=True, exist_ok=True)
     figure.savefig(Path(out) / f"{name}.png", dpi=80)

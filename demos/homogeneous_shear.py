@@ -2,9 +2,9 @@
 # # Homogeneous simple shear is the single point
 #
 # A box of finite elements in simple shear, first at constant volume with a pause and a reversal, then under a platen that carries
-# a constant load and rises as the packing dilates. Every integration point must have the state of a single point that gets the
-# platen's motion, as L = log F of every increment; under the load that point must carry it, too: that is what the driver's control
-# "normal-load" asks for.
+# a constant load and rises as the packing dilates. Every integration point must have the state of a single point that
+# is strained as the platen moves, by log F of every increment. Under the load that point must also carry the load, as with the
+# driver's control "normal-load".
 
 # %%
 import fields
@@ -59,9 +59,9 @@ def pressure_and_ratio(state, d):
 
 
 def compare(problem, platen, increments):
-    """Runs a problem and the single point. A row of each array is the start or an increment:
+    """Runs a problem and the single point. Each array has a row for the start and one for every increment:
 
-    p and stress ratio of the point and of one in the body; the height of the platen, and what the point bears over LOAD; the
+    p and stress ratio of the point and of one in the body; the height of the platen; the point's normal stress over LOAD; the
     largest difference of any state in the body to the point's.
     """
     up, start = problem.d - 1, np.eye(problem.d)[-1]                # of the platen
@@ -102,7 +102,7 @@ def picture(data):
     axes = figure.subplots(1, 3)
     increments = len(data["height"]) - 1
     row = np.arange(len(data["point"]))
-    gamma = SHEAR / increments * (row - np.clip(row - increments, 0, 1))            # a pause strains nothing
+    gamma = SHEAR / increments * (row - np.clip(row - increments, 0, 1))            # no shear in the pause
     for i, label in enumerate(("pressure $p\\,d/k$", "stress ratio")):
         axes[i].plot(gamma, data["point"][:, i], label="point")
         axes[i].plot(gamma, data["at_volume"][:, i], "k.", markersize=4, label="finite elements")

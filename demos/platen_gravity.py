@@ -2,8 +2,8 @@
 # # A shear layer with weight under a loaded platen
 #
 # A periodic layer on a rough bed carries a rough platen of constant load, which drags it sideways. The shear stress is the same at
-# every height, but weight raises the pressure with depth: the layer yields below the platen and comes to rest further down. The law
-# has no length: all shear ends in the row of elements at the platen, however thin. The rate term spreads it to a depth that no
+# every height, but weight raises the pressure with depth: the layer yields below the platen and rests further down. The law has
+# no length scale: all shear ends in the row of elements at the platen, however thin. The rate term spreads it to a depth that no
 # longer depends on the mesh. With tau = m N + alpha p D/2 (D the shear rate, N the normal stress at depth s, N = N_0 (1 + s/l),
 # m and r = p/N those of steady shear) and D = 0 at a depth h, the platen's speed V gives h:
 # V = (2 m/(alpha r)) ((l + h) log(1 + h/l) - h).
@@ -27,7 +27,7 @@ SHORT = {"rows": (6,), "drag": 0.2, "increments": 20}
 
 
 def resting(x):
-    """Initial states: isotropic at the pressure of what lies above; the bed is at 0, the platen at 1."""
+    """Initial states: isotropic, at the pressure of the load and of the weight above; the bed is at 0, the platen at 1."""
     pressures = LOAD + PHI * WEIGHT * (1 - x[:, 1])
     return np.array([SAND.isotropic(PHI, pressure=pressure) for pressure in pressures.tolist()], STATE)
 

@@ -2,8 +2,8 @@
 
 Equilibrium d(r s_rr)/dr = s_tt and d(r^2 s_rt)/dr = 0 over the control volumes between the middles of neighbouring rings; a ring
 that moves from radii R to r while its sides turn by w has the deformation gradient F = (dr/dR, 0; r dw/dR, r/R) along the polar
-axes. The material is asked ring by ring, with log F in plane strain. Newton's method with differences, coloured: three nodes apart,
-two unknowns do not meet.
+axes. The material is updated ring by ring, with log F in plane strain. Newton's method takes its matrix from central differences;
+unknowns of nodes that are three apart have no equation in common, so that they are changed together.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy.linalg import solve_banded
 
 from granumat import Material, MaterialError
 
-SMALL = 1e-11               # of the radius: the unknowns' changes in the differences
+SMALL = 1e-11               # steps of the central differences, for radii and angles of about 1
 CONVERGED = 1e-9            # residual, in units of stress times radius
 ITERATIONS = 30
 
@@ -46,7 +46,7 @@ class Annulus:
         back = np.tile(np.eye(3), (len(turn), 1, 1))
         back[:, :2, :2] = rotation(-turn)
         for name in ("stress", "fabric", "direction"):
-            states[name] = turned(states[name], back)
+            states[name] = rotate(states[name], back)
         return states
 
     def _residual(self, step, angle):
@@ -64,7 +64,7 @@ class Annulus:
         return residual
 
     def _jacobian(self, step, angle):
-        """In the diagonals of scipy.linalg.solve_banded, three on each side."""
+        """Derivatives of the residual, in the form of scipy.linalg.solve_banded with three diagonals on each side."""
         size = step.size
         banded = np.zeros((7, size))
         for color in range(6):
@@ -95,7 +95,7 @@ class Annulus:
         raise ArithmeticError(f"no convergence: residual {size:.1e}")
 
     def _search(self, step, correction, size, angle):
-        """The longest of 1, 1/2, 1/4, ... of a correction that the material stands and that lowers the residual."""
+        """The longest step 1, 1/2, 1/4, ... of a correction that the material can be updated with and that lowers the residual."""
         for part in 0.5**np.arange(12):
             try:
                 residual = self._residual(step - part * correction, angle)
@@ -123,13 +123,13 @@ def logarithm(f):
     root = np.where(square == 0, 1e-30, np.sqrt(square))
     factor = (np.arctanh(root / half) / root).real
     deviator = f - half[:, None, None] * np.eye(2)
-    with np.errstate(invalid="ignore"):                  # a ring turned inside out: the material refuses what is not finite
+    with np.errstate(invalid="ignore"):                  # an inverted ring: the material refuses gradients that are not finite
         return factor[:, None, None] * deviator + np.log(determinant)[:, None, None] / 2 * np.eye(2)
 
 
-def turned(six, q):
-    """Symmetric tensors (n, 6), xx yy zz xy xz yz, turned by q (n, 3, 3)."""
+def rotate(voigt, q):
+    """Symmetric tensors (n, 6), components xx yy zz xy xz yz, rotated by q (n, 3, 3)."""
     i, j = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    full = np.empty((len(six), 3, 3))
-    full[:, i, j] = full[:, j, i] = six
-    return np.einsum("nik,nkl,njl->nij", q, full, q)[:, i, j]
+    matrix = np.empty((len(voigt), 3, 3))
+    matrix[:, i, j] = matrix[:, j, i] = voigt
+    return np.einsum("nik,nkl,njl->nij", q, matrix, q)[:, i, j]

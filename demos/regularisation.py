@@ -54,7 +54,7 @@ def main(meshes=MESHES, elastic_strains=ELASTIC_STRAINS, rate_terms=RATE_TERMS, 
     if out and MPI.COMM_WORLD.rank == 0:
         save(out, "regularisation", COLUMNS, rows, draw(rows, paths))
     found = {(row["elastic_strain"], row["rate_term"], row["rings"]): row["width"] for row in rows}
-    for elastic_strain in elastic_strains:              # only a rate term gives the zone a width of its own
+    for elastic_strain in elastic_strains:              # only with a rate term the width does not depend on the mesh
         coarse, fine = ({alpha: found[elastic_strain, alpha, rings] for alpha in rate_terms} for rings in meshes[-2:])
         assert fine[0.0] < 0.6 * coarse[0.0]
         assert abs(fine[max(rate_terms)] / coarse[max(rate_terms)] - 1) < 0.05

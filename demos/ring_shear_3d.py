@@ -3,8 +3,8 @@
 #
 # A hollow cylinder of grains under a rough lid that carries a constant load, on a rough floor that turns; smooth walls inside and
 # outside: 52 800 unknowns with an iterative linear solver. In a narrow ring every point would be in simple shear at constant normal
-# load with the shear strain r turn/height: the torque is compared with that, and the lid shows what the width does, as it is rigid
-# and the packing wants to settle more where r is larger.
+# load, with the shear strain r turn/height, and the torque is compared with that. The ring is not narrow: its outer part is sheared
+# more and would settle more, but the lid is rigid.
 
 # %%
 import sys
@@ -40,7 +40,7 @@ def walls(x):
 
 # %%
 def narrow_ring(turn, increments, radii=6):
-    """Turns and torques of a ring whose every radius is a point under constant normal load, by Gauss's rule over the radii."""
+    """Turns and torques of a ring of points in simple shear under constant normal load, by Gauss's rule over the radii."""
     nodes, weights = np.polynomial.legendre.leggauss(radii)
     r = (INNER + OUTER + (OUTER - INNER) * nodes) / 2
     torque = np.zeros(increments + 1)

@@ -2,8 +2,8 @@
 # # Where it fails: the annulus over closures, elastic strains and increments
 #
 # One sector of the annular shear cell, tied to itself, is turned and turned back with every closure, elastic strain e_r and
-# increment; what is recorded is how far the increment had to be cut, and where the load control gave up and why. The transverse
-# modulus eta_t (`granumat wellposed`) of the points says what to expect. `WHERE_IT_FAILS.md` reads the map.
+# increment. Recorded are how far the increment had to be cut, where the run stopped and why, and the least transverse modulus eta_t
+# of the points, which is negative where ellipticity is lost (`granumat wellposed`). `WHERE_IT_FAILS.md` discusses the map.
 
 # %%
 from itertools import product
@@ -20,7 +20,7 @@ CLOSURES = ("basic", "n2", "full", "kinematic", "critical")
 ELASTIC_STRAINS = (1e-2, 1e-3, 1e-4, 0.0)
 INCREMENTS = (0.008, 0.002, 0.0005)             # radians; 16 times as much shear in the first of 16 rings, once it has localised
 RINGS, PART, TURN, BACK = 16, 1 / 48, 0.12, 0.08
-SMALLEST = 1 / 256                              # of an increment, where cutting ends
+SMALLEST = 1 / 256                              # of an increment: it is not cut to less
 SHORT = {"closures": ("full", "basic"), "elastic_strains": (1e-2, 0.0), "increments": (0.008,)}
 COLUMNS = ("closure", "elastic_strain", "increment", "reached", "cut_to", "iterations", "torque", "eta_t", "why")
 
@@ -44,7 +44,7 @@ def attempt(closure, elastic_strain, increment, mu=0.5):
         why = str(error)
     columns = watch.columns()
     moduli = np.array(moduli)
-    steps = np.diff(moduli[:, 0])[:-1]                          # the last one may be what was left
+    steps = np.diff(moduli[:, 0])[:-1]                          # without the last one, which `until` may have shortened
     return dict(zip(COLUMNS, (
         closure, elastic_strain, increment, problem.t, min([1.0, *steps / increment]) if not why else 0.0,
         np.mean(columns.get("iterations", 0.0)), np.append(0.0, columns.get("torque", []))[-1], moduli[:, 1].min(), why))), moduli
@@ -57,7 +57,7 @@ def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMEN
         found.append(attempt(*case))
         print(in_words(found[-1][0]), flush=True) if MPI.COMM_WORLD.rank == 0 else None
     rows = [row for row, _ in found]
-    moduli = {}                                                 # of the finest attempt that came furthest, by closure
+    moduli = {}                     # by closure, preferring e_r = 0.01, then a late end, then small increments
     for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, pair[0]["reached"], -pair[0]["increment"])):
         moduli[row["closure"]] = path
     if out and MPI.COMM_WORLD.rank == 0:

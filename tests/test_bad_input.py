@@ -73,7 +73,7 @@ def test_5_000_random_property_sets_states_and_increments(rng):
 def test_wild_shear_increments(material, gradient):
     shear = np.zeros((1, 3, 3))
     shear[0, 0, 2] = gradient
-    status = check(np.array(material._par), np.array([material.steady(0.6)]).view(float).reshape(1, 20), shear)
+    status = check(np.array(material.parameters), np.array([material.steady(0.6)]).view(float).reshape(1, 20), shear)
     assert (status == 0) == (abs(gradient) <= 100)
 
 

@@ -24,7 +24,7 @@ def huge():
     return chart.measure("huge", points=8, rounds=1)
 
 
-def cut(rows, method, spin="inside"):
+def by_pieces(rows, method, spin="inside"):
     """pieces -> row of a method."""
     return {row.pieces: row for row in rows if (row.method, row.spin) == (method, spin)}
 
@@ -68,26 +68,27 @@ def test_exact_is_at_round_off(case, request):
 @pytest.mark.parametrize("method, order", [("forward-euler", 1), ("backward-euler", 1), ("midpoint", 2), ("rk4", 4),
                                            ("NumPy RK4", 4)])
 def test_errors_fall_with_pieces_at_the_order_of_the_method(reversal, method, order):
-    rows = cut(reversal, method)
+    rows = by_pieces(reversal, method)
     for name in ("error_A", "error_Z2", "error_sigma"):
         coarse, fine = getattr(rows[1], name), getattr(rows[4], name)
         assert math.log2(coarse / fine) / 2 == pytest.approx(order, abs=0.25)
 
 
 def test_rotation_before_the_strain_makes_exact_first_order(reversal):
-    rows = cut(reversal, "exact", "before")
+    rows = by_pieces(reversal, "exact", "before")
     assert math.log2(rows[1].error / rows[4].error) / 2 == pytest.approx(1, abs=0.1)
 
 
 def test_the_cores_rk4_and_numpys_err_alike(reversal):
     for name in ("error_A", "error_Z2", "error_sigma"):
-        assert getattr(cut(reversal, "rk4")[1], name) == pytest.approx(getattr(cut(reversal, "NumPy RK4")[1], name), rel=1e-3)
+        core, numpy = (getattr(by_pieces(reversal, method)[1], name) for method in ("rk4", "NumPy RK4"))
+        assert core == pytest.approx(numpy, rel=1e-3)
 
 
 @pytest.mark.parametrize("case", ["reversal", "huge"])
 def test_numpy_takes_pieces_until_it_errs_no_more_than_exact_or_1e_12(case, request):
     rows = request.getfixturevalue(case)
-    *before, last = cut(rows, "NumPy RK4").values()
+    *before, last = by_pieces(rows, "NumPy RK4").values()
     assert last.error <= chart.finest(rows) < min(row.error for row in before)
     assert [row.pieces for row in before] == [2**k for k in range(len(before))]
 
@@ -144,9 +145,9 @@ def test_refused_runs_are_marked_and_drawn_on_the_edge(huge):
 def test_what_is_not_finite_counts_as_infinite_error():
     exact = np.ones((1, 14, 2))
     exact[:, 8:11] = -1
-    path = exact.copy()
-    path[0, 6, 1] = np.nan
-    assert chart.errors(path, exact, 1.0) == [0, np.inf, 0] * 2
+    trajectory = exact.copy()
+    trajectory[0, 6, 1] = np.nan
+    assert chart.errors(trajectory, exact, 1.0) == [0, np.inf, 0] * 2
 
 
 def test_the_command_writes_csv_and_pictures_and_says_what_is_fastest(huge, tmp_path, monkeypatch, capsys):
@@ -173,5 +174,5 @@ def test_every_case_is_followed_by_exact_to_1e_10(name):
     case = chart.CASES[name](4)
     material = Material(**case.definition)
     exact = rate_form.reference(material, rate_form.unknowns(material, case.states), rate_form.components_first(case.gradients))
-    path, refused = chart.run_core(material, case.states, case.gradients, 1, np.zeros(case.gradients.shape[:2], STATE))
-    assert refused == "" and max(chart.errors(chart.as_results(path), exact, material["kappa"])) < 1e-10
+    states, refused = chart.run_core(material, case.states, case.gradients, 1, np.zeros(case.gradients.shape[:2], STATE))
+    assert refused == "" and max(chart.errors(chart.as_results(states), exact, material["kappa"])) < 1e-10

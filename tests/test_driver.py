@@ -1,5 +1,7 @@
 """The single-point driver: controls keep what they hold, to the tolerance stated, and say why when they cannot."""
 
+import io
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -46,7 +48,7 @@ def constant_pressure_reference(material, state, gamma):
             dot_a = w @ a - a @ w + c["c1"] * s + c["c2"] * mod_d * a + c["c3"] * a_s * a
             f = c["Zc"] + c["beta1"] * max(phi - c["phic"], 0) ** 0.5
             dot_z = c["d1"] * (a_s - chi * mod_s) + c["d2"] * mod_d * (f - z) + c["d3"] * tr
-            mod_a = reference.modulus(a)
+            mod_a = reference.magnitude(a)
             dot_p = (c["a2"] * reference.double_dot(a, dot_a) / 2 / mod_a * (z - c["Zc"])
                      + 2 * (c["a1"] + c["a2"] * mod_a) * dot_z)
             return dot_a, dot_z, dot_p
@@ -74,7 +76,7 @@ def test_constant_pressure_follows_the_differential_equation_and_the_tolerance(m
         end = driver.run(material, state, [driver.shear(-0.4, "pressure", 4)], tolerance=tolerance).states[-1]
         found.append(max(np.abs(tensors.to_matrix(end["fabric"]) - fabric).max() / material["kappa"],
                          abs(end["coordination_number"] - z2), abs(end["volume_fraction"] - phi)))
-        assert found[-1] < 30 * tolerance                            # errors of all inner steps together
+        assert found[-1] < 30 * tolerance                            # errors of all substeps together
     assert found[-1] < found[0] / 100
 
 
@@ -213,3 +215,11 @@ def test_history_signs_and_columns(material, tmp_path):
     assert history["stress_ratio"][-1] > 0 and history["A_xz"][-1] < 0 and history["sigma_xz"][-1] < 0
     assert history["p"][-1] == pytest.approx((history["sigma_xx"] + history["sigma_yy"] + history["sigma_zz"])[-1] / 3)
     assert history["eta"][-1] == pytest.approx(history["stress_ratio"][-1], rel=1e-12)       # a3, a4 do not act on xz in shear
+
+
+def test_progress_counts_the_increments_of_steps_and_tables(material):
+    said = io.StringIO()
+    steps = [driver.shear(0.1, increments=300), driver.Step("table", table=np.zeros((501, 9)))]
+    driver.run(material, material.steady(0.60), steps, progress=driver.Progress(steps, said, quiet_seconds=0))
+    shares = [line.split(": ")[1].split(",")[0] for line in said.getvalue().splitlines()]
+    assert shares == ["12%", "25%", "38%", "50%", "62%", "75%", "88%", "100%"]

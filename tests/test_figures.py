@@ -1,4 +1,4 @@
-"""The figures: what they draw, against numbers that do not come from granumat.figures."""
+"""The figures: what they draw, against numbers that do not come from granumat.studies.figures."""
 
 import numpy as np
 import pytest

@@ -182,7 +182,7 @@ def test_unknown_methods_are_refused_by_name_all_at_once_and_by_the_core():
         assert words in str(caught.value)
     for wrong in ((6, 0, 1e-6), (-1, 0, 1e-6), (0, 2, 1e-6), (0, 0, np.nan), (0, 0, 1.0)):
         steady = np.array([Material().steady(0.6)]).view(float).reshape(1, 20)
-        assert check(np.array(Material()._par), steady, 0.01 * SHEAR[None], wrong) == 2
+        assert check(np.array(Material().parameters), steady, 0.01 * SHEAR[None], wrong) == 2
 
 
 def test_a_path_file_names_its_method(tmp_path):

@@ -138,3 +138,19 @@ def test_broken_tables_are_refused(tmp_path):
 def test_a_file_that_is_not_toml_is_refused(tmp_path):
     with pytest.raises(ValueError, match="not a TOML file"):
         read_path_file(written(tmp_path, "[material\n"))
+
+
+@pytest.mark.parametrize("line", [
+    "shear = 0.1\nuntil = 5", "shear = 0.1\ncontrol = [\"volume\"]", "test = [\"isotropic\"]\npressure = 0.1", "test = 1",
+    "cycles = [1]\namplitude = 0.1", "velocity_gradient = \"x\"", "shear = 0.1\nfree = \"e_xx\"", "csv = 5", "pause = 1",
+    "shear = true", "shear = 0.1\nincrements = 2.5", "shear = 0.1\nfree = [\"e_xx\"]\nstress = { p = [1] }"])
+def test_a_value_of_a_wrong_type_is_refused_with_words(tmp_path, line):
+    with pytest.raises(ValueError, match="step 1: "):
+        read_path_file(written(tmp_path, f"[initial]\nphi = 0.6\nstate = \"steady\"\n[[step]]\n{line}\n"))
+
+
+@pytest.mark.parametrize("table", ["[initial]\nphi = 0.6\nstate = [\"steady\"]", "initial = 3", "material = 1",
+                                   "[material]\nclosure = [\"full\"]\na3 = 1", "[material]\nmu = \"x\""])
+def test_a_table_of_a_wrong_type_is_refused_with_words(tmp_path, table):
+    with pytest.raises(ValueError, match="cannot be run"):
+        read_path_file(written(tmp_path, f"{table}\n[[step]]\nshear = 0.1\n"))

@@ -56,7 +56,7 @@ def test_tangent_equals_8th_order_differences(rng, closure, contact):
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.1, 1.0])
-def test_tangent_of_large_increments_in_inner_steps(rng, mu):
+def test_tangent_of_large_increments_in_substeps(rng, mu):
     material = Material(mu)
     states, gradient = random_states(rng, material, 300, 0.5, volume=0.1, excess=(1.0, 1.5))
     size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
@@ -77,7 +77,7 @@ def test_tangent_with_quadratic_friction_and_the_isotropic_term(rng, elastic_str
     material = Material(0.5, friction="quadratic", b1=0.1, b2=-3.0, b3=-8.0, g=1e-3, elastic_strain=elastic_strain)
     states, gradient = random_states(rng, material, 300, 0.01, excess=(0.8, 1.2))
     size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
-    good = (size > 5e-4) & (tensors.magnitude(states["fabric"]) > 0.02)          # away from the kink at A = 0; one inner step
+    good = (size > 5e-4) & (tensors.magnitude(states["fabric"]) > 0.02)          # away from the kink at A = 0; one substep
     check(material, states[good], gradient[good], 0.03, 1e-8)
 
 

@@ -158,9 +158,10 @@ def test_the_header_declares_what_the_library_has(tmp_path):
     (tmp_path / "sizes.c").write_text('#include "granumat.h"\n#include <stdio.h>\n'
                                       'int main(void) { printf("%zu %zu", sizeof(struct granumat_parameters), '
                                       'sizeof(struct granumat_state)); return 0; }\n')
-    run("gcc", "-Wall", "-Wextra", "-Werror", "-pedantic", "-I", ROOT / "fortran", tmp_path / "sizes.c", "-o", tmp_path / "sizes")
+    run("gcc", "-Wall", "-Wextra", "-Werror", "-pedantic", "-I", ROOT / "fortran" / "faces", tmp_path / "sizes.c",
+        "-o", tmp_path / "sizes")
     parameters, state = map(int, run(tmp_path / "sizes").split())
-    assert parameters == Material()._par.nbytes and state == STATE.itemsize
+    assert parameters == Material().parameters.nbytes and state == STATE.itemsize
 
 
 def test_the_cost_of_a_call_is_measured():

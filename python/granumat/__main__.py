@@ -1,3 +1,5 @@
+"""`python3 -m granumat` is the command `granumat`."""
+
 import sys
 
 from .cli import main

@@ -6,26 +6,51 @@ import sys
 import time
 import traceback
 import warnings
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Any, TextIO
 
 from . import __version__, driver
 from .errors import GranumatError
 from .paths import read_path_file
 from .studies.cases import CASES
 
-PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to have it too
-SAID_ON_SCREEN = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
+PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to meet the same error
+PRINTED = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
 
 
-def main(arguments=None):
-    """Runs the command; returns its exit status: 0, 1 for a failed computation, 2 for a mistake in what was asked."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command.
+
+    Parameters
+    ----------
+    arguments : list of str, optional
+        The default is what the command line says.
+
+    Returns
+    -------
+    int
+        Exit status: 0, 1 for a failed computation, 2 for a mistake in what was asked.
+    """
+    options = _parser().parse_args(arguments)
+    warnings.showwarning = _show_warning
+    try:
+        options.run(options)
+    except (ValueError, OSError, ImportError, GranumatError) as error:
+        if not options.quiet:
+            print(f"granumat: {error}", file=sys.stderr)
+        return 1 if isinstance(error, GranumatError) else 2
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="granumat", description="Rate-independent granular materials with evolving "
                                      "microstructure, after Sun & Sundaresan (2011).")
     parser.set_defaults(quiet=False)
     parser.add_argument("--version", action="version", version=f"granumat {__version__}")
     commands = parser.add_subparsers(required=True)
 
-    def command(name, run, words):
+    def command(name: str, run: Callable[[argparse.Namespace], None], words: str) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=words, description=words)
         added.set_defaults(run=run)
         if run is not run_bench:
@@ -43,21 +68,27 @@ def main(arguments=None):
         "names", nargs="*", metavar="CASE", help=f"from {', '.join(CASES)}; all if none is given")
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
-    command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers").add_argument(
-        "--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
-        help="time a finite-element problem instead, and draw it into DIR (.)")
-    options = parser.parse_args(arguments)
-    warnings.showwarning = lambda message, category, *_: print(f"granumat: warning: {message}", file=sys.stderr)
-    try:
-        options.run(options)
-    except (ValueError, OSError, ImportError, GranumatError) as error:
-        if not options.quiet:
-            print(f"granumat: {error}", file=sys.stderr)
-        return 1 if isinstance(error, GranumatError) else 2
-    return 0
+    bench = command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
+    kind = bench.add_mutually_exclusive_group()
+    kind.add_argument("--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
+                      help="time a finite-element problem instead, and draw it into DIR (.)")
+    kind.add_argument("--quick", action="store_true",
+                      help="all tables from few, small measurements in a minute at most; ratios are rough")
+    return parser
 
 
-def run_point(options):
+def _show_warning(message: Warning | str, category: type[Warning], filename: str, lineno: int, file: TextIO | None = None,
+                  line: str | None = None) -> None:
+    print(f"granumat: warning: {message}", file=sys.stderr)
+
+
+def _say_written(filenames: Iterable[Path]) -> None:
+    for filename in filenames:
+        print(f"wrote {filename}")
+
+
+def run_point(options: argparse.Namespace) -> None:
+    """Run `granumat point`: history.csv, history.png, and the ends of the steps on screen."""
     from .plotting import history_figure
     path = read_path_file(options.path)
     progress = driver.Progress(path.steps, sys.stderr)
@@ -68,71 +99,75 @@ def run_point(options):
               f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
         raise
     history_figure(history, options.path.stem).savefig(options.out / "history.png", dpi=130)
-    print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in SAID_ON_SCREEN))
+    print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in PRINTED))
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
-        print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in SAID_ON_SCREEN))
-    print(f"wrote {options.out / 'history.csv'}\nwrote {options.out / 'history.png'}")
+        print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in PRINTED))
+    _say_written([options.out / "history.csv", options.out / "history.png"])
 
 
-def run_solve(options):
+def run_solve(options: argparse.Namespace) -> None:
+    """Run `granumat solve`; the first rank speaks for all."""
     try:
         from mpi4py import MPI
 
         from .fem import scene
     except ImportError as error:
         raise ImportError(f"granumat solve needs DOLFINx (Debian: python3-dolfinx): {error}") from None
-    logging.captureWarnings(False)                               # DOLFINx's compiler has taken them for its log
+    logging.captureWarnings(False)                               # DOLFINx's compiler sends them to its log
     options.quiet = MPI.COMM_WORLD.rank > 0
-    apart = MPI.COMM_WORLD.Dup()
+    comm = MPI.COMM_WORLD.Dup()                                  # errors may leave messages on the other
     try:
         problem, written = scene.solve(options.scene, options.out, options.resume, progress=sys.stderr)
     except BaseException as error:
         expected = isinstance(error, (ValueError, OSError, ImportError, GranumatError))
-        if not (expected and _all_come_here(apart)):
+        if not (expected and _all_ranks_come(comm)):
             traceback.print_exc()
-            MPI.COMM_WORLD.Abort(1)                              # or the other ranks wait for ever
+            MPI.COMM_WORLD.Abort(1)                              # or the other ranks would wait for ever
         raise
     if not options.quiet:
-        print(f"t = {problem.t:g} after {problem.increments} increments", *(f"wrote {path}" for path in written), sep="\n")
+        print(f"t = {problem.t:g} after {problem.increments} increments")
+        _say_written(written)
 
 
-def _all_come_here(comm):
-    """Whether all ranks do within a few seconds."""
+def _all_ranks_come(comm: Any) -> bool:
+    """Whether all ranks call this within PATIENCE."""
     request, end = comm.Ibarrier(), time.monotonic() + PATIENCE
     while not (come := request.Test()) and time.monotonic() < end:
         time.sleep(0.01)
     return come
 
 
-def run_figures(options):
+def run_figures(options: argparse.Namespace) -> None:
+    """Run `granumat figures`."""
     from .studies.figures import draw_figures
-    for path in draw_figures(options.out, options.names or None):
-        print(f"wrote {path}")
+    _say_written(draw_figures(options.out, options.names or None))
 
 
-def run_stability(options):
+def run_stability(options: argparse.Namespace) -> None:
+    """Run `granumat stability`."""
     from .studies.stability import write_stability
-    for path in write_stability(options.out):
-        print(f"wrote {path}")
+    _say_written(write_stability(options.out))
 
 
-def run_chart(options):
+def run_chart(options: argparse.Namespace) -> None:
+    """Run `granumat chart`."""
     from .studies.chart import draw_chart, summary
     print("\n" + summary(draw_chart(options.out, options.names)))
 
 
-def run_bench(options):
+def run_bench(options: argparse.Namespace) -> None:
+    """Run `granumat bench`."""
     if options.fem:
         from .studies.bench_fem import print_fem
         print_fem(options.fem)
     else:
         from .studies.bench import print_ratios
-        print_ratios()
+        print_ratios(options.quick)
 
 
-def run_wellposed(options):
+def run_wellposed(options: argparse.Namespace) -> None:
+    """Run `granumat wellposed`: files, and the table on screen."""
     from .studies.wellposed import losses_in_words, write_study
-    curves, paths = write_study(options.out)
+    curves, filenames = write_study(options.out)
     print(losses_in_words(curves))
-    for path in paths:
-        print(f"wrote {path}")
+    _say_written(filenames)

@@ -1,12 +1,12 @@
 """The compiled core as the package sees it: the only file that imports it.
 
-Parameters `par` (27,) and states (n,) of dtype STATE are passed as the core lays them out; names are those of
-fortran/faces/bindings.f90 without their prefix. Nothing is checked here beyond shapes: `material` does that.
+Names are those of the procedures in fortran/faces/bindings.f90, without their prefix. Parameters `par` (25,) and records of states
+(n,) of dtype STATE are handed over in the core's own layout. Beyond shapes nothing is checked here; `material` does that.
 """
 
 import numpy as np
 
-from . import _core
+from . import _core  # type: ignore[attr-defined]
 
 STATE = np.dtype([
     ("stress", "f8", 6), ("fabric", "f8", 6), ("direction", "f8", 6),
@@ -16,6 +16,8 @@ STATE = np.dtype([
 direction: D/abs(D) of the last strain, 0 before any. Six components are xx yy zz xy xz yz."""
 
 N_CONSTANTS = 20
+Scheme = tuple[int, int, float]
+"""How to integrate increments: numbers of method and spin as in granumat_methods, tolerance of the embedded pair."""
 
 parameters_from_friction = _core.granumat_parameters_from_friction
 complete_parameters = _core.granumat_complete_parameters
@@ -24,8 +26,8 @@ element_forces = _core.granumat_element_forces
 element_stiffness = _core.granumat_element_stiffness
 
 
-def constant_ranges():
-    """name -> (lower, upper, closed) of every constant, from the core's table."""
+def constant_ranges() -> dict[str, tuple[float, float, bool]]:
+    """Name -> (lower bound, upper bound, whether the bounds are allowed) of every constant, from the core's table."""
     ranges = {}
     for i in range(1, N_CONSTANTS + 1):
         name, lower, upper, closed = _core.granumat_constant_range(i)
@@ -33,53 +35,56 @@ def constant_ranges():
     return ranges
 
 
-def status_message(status):
+def status_message(status: int) -> str:
     """The core's words for a status."""
     return _core.granumat_status_message(int(status)).tobytes().decode().strip()
 
 
-def numbers(states):
+def numbers(states: np.ndarray) -> np.ndarray:
     """States (n,) as the core sees them, (n, 20), without a copy."""
     return states.view(np.ndarray).view(float).reshape(-1, 20)
 
 
-def update(par, old, gradients, new, status, threads):
-    """Writes the states (n,) after displacement gradient increments (n, 3, 3) into new, and status (n,)."""
+def update(par: np.ndarray, old: np.ndarray, gradients: np.ndarray, new: np.ndarray, status: np.ndarray, threads: int) -> None:
+    """Writes the states (n,) after displacement gradient increments (n, 3, 3) into new, and into status (n,) 0 or why it failed."""
     _core.granumat_update_states(threads, par, numbers(old), gradients, numbers(new), status)
 
 
-def update_with_tangent(par, old, gradients, new, status, tangent, threads):
-    """As update, and writes the consistent tangent (n, 6, 6 or 9), or in plane strain (n, 4, 3 or 4)."""
+def update_with_tangent(par: np.ndarray, old: np.ndarray, gradients: np.ndarray, new: np.ndarray, status: np.ndarray,
+                        tangent: np.ndarray, threads: int) -> None:
+    """As update, and writes the consistent tangent (n, 6, 6 or 9), in plane strain (n, 4, 3 or 4)."""
     _core.granumat_update_states_with_tangent(threads, par, numbers(old), gradients, numbers(new), status, tangent)
 
 
-def update_by_method(par, scheme, old, gradients, new, status, threads):
-    """As update, by a scheme (method, spin, tolerance) of granumat_methods that is compared with the exact update."""
+def update_by_method(par: np.ndarray, scheme: Scheme, old: np.ndarray, gradients: np.ndarray, new: np.ndarray, status: np.ndarray,
+                     threads: int) -> None:
+    """As update, by a scheme that is compared with the exact update."""
     _core.granumat_update_states_by_method(threads, *scheme, par, numbers(old), gradients, numbers(new), status)
 
 
-def evaluate(par, states):
+def evaluate(par: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Replaces the stress of states (n,) by the model's; returns the friction coefficient eta (n,)."""
     return _core.granumat_evaluate_stress(par, numbers(states))
 
 
-def transverse_modulus(par, states):
+def transverse_modulus(par: np.ndarray, states: np.ndarray) -> np.ndarray:
     """eta_t (n,) of states (n,)."""
     return _core.granumat_transverse_modulus(par, numbers(states))
 
 
-def response(par, states):
+def response(par: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Response matrices (n, 6, 6) of states (n,)."""
     return _core.granumat_response(par, numbers(states))
 
 
-def ellipticity(par, states, threads):
+def ellipticity(par: np.ndarray, states: np.ndarray, threads: int) -> tuple[np.ndarray, np.ndarray]:
     """Smallest eigenvalue and determinant (n, 2) of the acoustic tensor of states (n,), and their normals (n, 2, 3)."""
     return _core.granumat_least_acoustic(threads, par, numbers(states))
 
 
-def follow_path(par, scheme, start, gradients, modes, functionals, targets, tolerance):
-    """States (done,), amplitudes (done, m) and the status of the increments (n, 3, 3) of one point from a state start (1,)."""
+def follow_path(par: np.ndarray, scheme: Scheme, start: np.ndarray, gradients: np.ndarray, modes: np.ndarray,
+                functionals: np.ndarray, targets: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """States (done,), amplitudes (done, m) and the status of the increments (n, 3, 3) of one point, from a state start (1,)."""
     m = len(modes)
     rows = max(m, 1)                                              # the binding takes no empty arrays
     states, amplitudes, done, status = _core.granumat_follow_path(
@@ -89,7 +94,7 @@ def follow_path(par, scheme, start, gradients, modes, functionals, targets, tole
     return states[:done].view(STATE)[:, 0].view(np.recarray), amplitudes[:done, :m], int(status[0])
 
 
-def arithmetic(rounds):
+def arithmetic(rounds: int) -> int:
     """Does 192 * rounds additions and multiplications in registers; returns their number."""
     _core.granumat_arithmetic(rounds)
     return 192 * rounds

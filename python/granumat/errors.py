@@ -1,4 +1,8 @@
-"""What can go wrong, for `except`: ValueError is the caller's mistake, these are the material's."""
+"""What can go wrong while granumat computes. A ValueError is the caller's mistake; these errors are the material's."""
+
+from typing import Any
+
+import numpy as np
 
 
 class GranumatError(Exception):
@@ -6,35 +10,35 @@ class GranumatError(Exception):
 
 
 class MaterialError(GranumatError):
-    """A state cannot be brought over its increment.
+    """At least one point cannot follow its increment of deformation.
 
     Attributes
     ----------
-    status : int array
-        Status of every point, 0 where all is well.
-    states : record array
-        The new states; where status is not 0, the old one.
+    status : int array (...)
+        Status of every point; 0 for the points that could follow.
+    states : record array (...) of dtype STATE
+        The new states; where the status is not 0, the old one.
     """
 
-    def __init__(self, message, status, states):
+    def __init__(self, message: str, status: np.ndarray, states: np.recarray) -> None:
         super().__init__(message)
         self.status = status
         self.states = states
 
 
 class PathError(GranumatError):
-    """A step of a path cannot be completed.
+    """A step of a load path cannot be completed.
 
     Attributes
     ----------
-    history : History
+    history : granumat.driver.History
         Everything up to the last increment that was completed.
     """
 
-    def __init__(self, message, history):
+    def __init__(self, message: str, history: Any) -> None:
         super().__init__(message)
         self.history = history
 
 
 class ConstrainedDeformationWarning(UserWarning):
-    """The volume changes about as fast as the shape: the paper's law is meant for abs(tr D^) << 1."""
+    """The volume changes about as fast as the shape, but the paper's law is meant for abs(tr D^) << 1."""

@@ -1,34 +1,43 @@
-"""The material and the state of its points."""
+"""The material: its constants, the states of its points, and what the law gives for them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from . import core, tensors
-from .checks import choose, is_number, refuse
+from .checks import choose, is_finite_number, is_number, is_positive_integer, refuse
 from .core import STATE, status_message
 from .errors import MaterialError
 
-CLOSURES = ("critical", "basic", "n2", "full", "kinematic")       # positions are the core's numbers
+States = TypeVar("States", np.record, np.recarray, np.ndarray)     # of dtype STATE: one point's, or an array of any shape
+
+# Positions in these lists are the core's codes.
+CLOSURES = ("critical", "basic", "n2", "full", "kinematic")
 CONTACTS = ("hookean", "hertzian")
 CALIBRATIONS = ("table-1", "text", "figure-16")
 FRICTIONS = ("linear", "quadratic")
 METHODS = ("exact", "forward-euler", "midpoint", "rk4", "bogacki-shampine", "backward-euler")
 SPINS = ("inside", "before")
 
-# What a closure does without.
+# Constants that have no role in a closure.
 UNUSED = {
     "critical": ("a4", "d1", "d2", "d3"), "basic": ("a3", "a4"), "n2": ("a4",), "full": (), "kinematic": ("a4",),
 }
 
-
 RANGES = core.constant_ranges()
 OPTIONS = ("closure", "contact", "friction", "calibration", "method", "spin", "method_tolerance")
-DERIVED = ("chi", "kappa", "lambda", "fabric_limit")
+DERIVED = ("chi", "kappa", "lambda", "fabric_limit")    # (A 7)-(A 9), and abs(A) from where (4.7) can grow without bound
+
+STEADY_DECAYS = 39.0    # exp(-39) is below round-off; Z2 decays by exp(-d2 s), s half the shear strain, the fabric faster
+SLOWEST_DECAY = 1.0     # smallest d2 for which the strain that leads to a steady state grows as 1/d2
+
+TRACE_TOLERANCE = 1e-12         # of a fabric that counts as traceless
+DIRECTION_TOLERANCE = 1e-9      # of a direction's magnitude 1
 
 
-def describe_range(name):
-    """The allowed values of a constant in words."""
+def describe_range(name: str) -> str:
+    """The allowed values of a constant in words, such as "at least 0 and at most 1"."""
     lower, upper, closed = RANGES[name]
     huge = np.finfo(float).max
     words = []
@@ -39,42 +48,79 @@ def describe_range(name):
     return " and ".join(words) or "any finite number"
 
 
+class Ellipticity(NamedTuple):
+    """What `Material.ellipticity` finds, for states of shape (...).
+
+    Attributes
+    ----------
+    eta_t : array (...)
+        Transverse modulus over p, see `Material.transverse_modulus`.
+    eigenvalue : array (...)
+        Smallest eigenvalue of the acoustic tensor's symmetric part over all normals, in p.
+    normal : array (..., 3)
+        The normal at which it is found.
+    determinant : array (...)
+        Smallest determinant of the acoustic tensor over all normals, in p^2 (e_r = 0) or p^3.
+    determinant_normal : array (..., 3)
+        The normal at which it is found.
+    """
+
+    eta_t: np.ndarray
+    eigenvalue: np.ndarray
+    normal: np.ndarray
+    determinant: np.ndarray
+    determinant_normal: np.ndarray
+
+
 class Material:
-    """The constitutive law with its constants.
+    """The constitutive law of Sun & Sundaresan (2011) with its constants.
 
     Parameters
     ----------
     mu : float
         Interparticle friction coefficient, 0 to 1; the other constants follow from it.
     closure : str
-        "critical" (A 10)-(A 12), "basic" (4.1), "n2" (A 1), "full" (A 4) or "kinematic" ((A 4) with a4 = -2 b2).
+        Equation of the deviatoric stress: "critical" (A 10)-(A 12), "basic" (4.1), "n2" (A 1), "full" (A 4) or "kinematic", which
+        is (A 4) with a4 = -2 b2.
     contact : str
-        "hookean" (4.2) or "hertzian" (4.4).
+        Equation of the pressure: "hookean" (4.2) or "hertzian" (4.4).
     friction : str
-        "linear" (4.5) or "quadratic" (4.6); the latter needs b1, b2 and b3, which the paper does not print.
+        Equation of the friction coefficient: "linear" (4.5) or "quadratic" (4.6); the latter needs b1, b2 and b3, which the paper
+        does not print.
     calibration : str
-        Source of a4: "table-1", "text" or "figure-16".
+        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16".
     elastic_strain : float
-        e_r, strain over which the deviatoric stress relaxes to the model's; 0 is the paper.
+        e_r, the strain over which the deviatoric stress relaxes to the model's; with 0, the paper's law, it is the model's at once.
     method : str
-        How increments are integrated: "exact", or to compare with it "forward-euler", "midpoint" (explicit), "rk4",
-        "backward-euler", one step an increment each, or "bogacki-shampine", in substeps with an error estimate.
+        How increments are integrated: "exact", or, to compare with it, "forward-euler", "midpoint" (explicit), "rk4" or
+        "backward-euler" in one step per increment, or "bogacki-shampine" in substeps whose error is estimated.
     spin : str
-        "inside": integrated with the rest; "before": the state is rotated first, then strained, as UMATs usually do.
+        "inside": the spin is integrated together with the strain; "before": the state is rotated first and strained then, as is
+        usual in UMATs.
     method_tolerance : float
-        Of the relative error that "bogacki-shampine" estimates in a substep.
+        Relative error that "bogacki-shampine" may estimate in a substep.
     **constants : float
-        Overrides, by name: a1 a2 a3 a4 b1 b2 b3 Zc phic c1 c2 c3 d1 d2 d3 beta1 beta2 g.
+        Values that replace table 1's, by name: a1 a2 a3 a4 b1 b2 b3 Zc phic c1 c2 c3 d1 d2 d3 beta1 beta2 g.
+
+    Attributes
+    ----------
+    closure, contact, friction, calibration, method, spin : str
+        As given.
+    constants : dict of str to float
+        All constants by their symbols, given or not, and those that follow from them: chi, kappa, lambda (A 7)-(A 9) and
+        fabric_limit, the abs(A) from where (4.7) can grow without bound. `material["Zc"]` is short for
+        `material.constants["Zc"]`.
 
     Raises
     ------
     ValueError
-        Names everything that is wrong at once.
+        Names every mistake at once.
     """
 
-    def __init__(self, mu=0.5, closure="full", contact="hookean", friction="linear", calibration="table-1",
-                 elastic_strain=0.0, method="exact", spin="inside", method_tolerance=1e-6, **constants):
-        faults = []
+    def __init__(self, mu: float = 0.5, closure: str = "full", contact: str = "hookean", friction: str = "linear",
+                 calibration: str = "table-1", elastic_strain: float = 0.0, method: str = "exact", spin: str = "inside",
+                 method_tolerance: float = 1e-6, **constants: float) -> None:
+        faults: list[str] = []
         closure_number = choose("closure", closure, CLOSURES, faults)
         contact_number = choose("contact", contact, CONTACTS, faults)
         calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
@@ -89,7 +135,7 @@ class Material:
                 choose("unknown name", name, OPTIONS + tuple(RANGES), faults)
             elif not is_number(value):
                 faults.append(f"{name} = {value!r}: must be a number, {describe_range(name)}")
-            elif name in constants and name in UNUSED.get(closure, ()):
+            elif name in constants and closure in CLOSURES and name in UNUSED[closure]:
                 faults.append(f"{name} = {value!r}: has no role in the closure {closure!r}")
         missing = [name for name in ("b1", "b2", "b3") if name not in constants]
         if friction == "quadratic" and missing:
@@ -118,34 +164,40 @@ class Material:
         self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
         self.method, self.spin = method, spin
         self.constants = dict(zip(names + list(DERIVED), par.tolist()))
-        self._given = {"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
-                       "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance,
-                       **constants}
+        self._given: dict[str, Any] = {
+            "mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
+            "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance, **constants}
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return "Material(" + ", ".join(f"{name}={value!r}" for name, value in self._given.items()) + ")"
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return _remake, (self._given,)
 
-    def __getitem__(self, name):
-        """A constant by its symbol: material["Zc"]."""
+    def __getitem__(self, name: str) -> float:
+        """A constant by its symbol, such as material["Zc"]."""
         return self.constants[name]
 
     @property
-    def definition(self):
-        """The arguments that make this material, as the [material] table of a path file."""
+    def parameters(self) -> np.ndarray:
+        """The numbers that the compiled core takes for this material, in the core's order; read-only."""
+        return self._par
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """The arguments that make this material; they are also the table [material] of a path file."""
         return dict(self._given)
 
     @property
-    def is_exact(self):
+    def is_exact(self) -> bool:
         """Whether increments are integrated exactly, not by a method that is to be compared."""
         return self.method == "exact" and self.spin == "inside"
 
     # ---- states ----------------------------------------------------------------------------------------------------
 
-    def state(self, volume_fraction, coordination_number, fabric=None, direction=None, stress=None):
-        """A checked state.
+    def state(self, volume_fraction: float, coordination_number: float, fabric: ArrayLike | None = None,
+              direction: ArrayLike | None = None, stress: ArrayLike | None = None) -> np.record:
+        """Make a state and check it.
 
         Parameters
         ----------
@@ -154,41 +206,46 @@ class Material:
         coordination_number : float
             Z2; up to the material's Zc the state is unjammed.
         fabric : array (6,) or (3, 3), optional
-            A: traceless, eigenvalues of A + I/3 in [0, 1], abs(A) below the limit above which (4.7) can blow up.
+            A (3.1), the default is 0: traceless, eigenvalues of A + I/3 in [0, 1], abs(A) below `fabric_limit`.
         direction : array (6,) or (3, 3), optional
-            D/abs(D) of the last strain: modulus 1, or 0 before any strain.
+            D/abs(D) of the last strain, of magnitude 1; the default 0 stands for no strain yet.
         stress : array (6,) or (3, 3), optional
-            Tension positive; the default is the model's.
+            Cauchy stress in k/d (k_Hz for Hertzian contacts), tension positive; the default is the model's.
 
         Returns
         -------
-        numpy record of dtype STATE
+        record of dtype STATE
+
+        Raises
+        ------
+        ValueError
+            Names every mistake.
         """
         state = np.zeros(1, STATE)
-        faults = []
+        faults: list[str] = []
         numbers = {"volume_fraction": volume_fraction, "coordination_number": coordination_number}
         for name, value in numbers.items():
-            if not is_number(value) or not np.isfinite(value):
-                faults.append(f"{name} = {value!r}: must be a finite number")
-            else:
+            if is_finite_number(value):
                 state[name] = value
+            else:
+                faults.append(f"{name} = {value!r}: must be a finite number")
         if not faults and not 0 < volume_fraction < 1:
             faults.append(f"volume_fraction = {volume_fraction!r}: must be in (0, 1)")
-        for name, value in {"fabric": fabric, "direction": direction, "stress": stress}.items():
-            if value is not None:
-                state[name] = _components(name, value, faults)
+        for name, tensor in {"fabric": fabric, "direction": direction, "stress": stress}.items():
+            if tensor is not None:
+                state[name] = _components(name, tensor, faults)
         faults += self._fabric_faults(state["fabric"][0])
         size = tensors.magnitude(state["direction"][0])
-        if not (size == 0 or abs(size - 1) < 1e-9):
-            faults.append(f"direction: its modulus is {size:g}, must be 1, or 0 before any strain")
+        if not (size == 0 or abs(size - 1) < DIRECTION_TOLERANCE):
+            faults.append(f"direction: its magnitude is {size:g}, must be 1, or 0 before any strain")
         refuse("the state is not admissible", faults)
         if stress is None:
             core.evaluate(self._par, state)
         return state.view(np.recarray)[0]
 
-    def _fabric_faults(self, fabric):
+    def _fabric_faults(self, fabric: np.ndarray) -> list[str]:
         faults = []
-        if abs(tensors.trace(fabric)) > 1e-12:
+        if abs(tensors.trace(fabric)) > TRACE_TOLERANCE:
             faults.append(f"fabric: its trace is {tensors.trace(fabric):g}, must be 0")
         eigenvalues = np.linalg.eigvalsh(tensors.to_matrix(fabric)) + 1 / 3
         if eigenvalues[0] < 0 or eigenvalues[-1] > 1:
@@ -199,10 +256,28 @@ class Material:
             faults.append(f"fabric: abs(A) = {size:.6g}, must be below {limit:.6g}, from where (4.7) can blow up")
         return faults
 
-    def isotropic(self, volume_fraction, pressure=None, coordination_number=None):
-        """An isotropic packing (A = 0), from its mean pressure or its coordination number.
+    def isotropic(self, volume_fraction: float, pressure: float | None = None,
+                  coordination_number: float | None = None) -> np.record:
+        """Make the state of an isotropic packing, A = 0.
 
-        The critical closure has no state variables: it takes neither, its pressure follows from the volume fraction.
+        Parameters
+        ----------
+        volume_fraction : float
+            phi, in (0, 1).
+        pressure : float, optional
+            Mean pressure in k/d (k_Hz for Hertzian contacts), at least 0. Give either this or the coordination number; the critical
+            closure takes neither, since its stress follows from the volume fraction alone.
+        coordination_number : float, optional
+            Z2.
+
+        Returns
+        -------
+        record of dtype STATE
+
+        Raises
+        ------
+        ValueError
+            Names every mistake.
         """
         faults = []
         if self.closure == "critical":
@@ -217,32 +292,46 @@ class Material:
             else:
                 coordination_number = float(self.coordination_number(pressure))
         refuse("the isotropic state cannot be made", faults)
+        assert coordination_number is not None                   # or there were faults
         return self.state(volume_fraction, coordination_number)
 
-    def coordination_number(self, pressure):
-        """Z2 (...) of isotropic packings that bear pressures (...), at least 0: (4.2), (4.4)."""
+    def coordination_number(self, pressure: ArrayLike) -> np.ndarray:
+        """Coordination numbers Z2 (...) of isotropic packings under pressures (...) of at least 0: the inverse of (4.2), (4.4)."""
+        pressure = np.asarray(pressure)
         hookean = pressure ** (2 / 3) if self.contact == "hertzian" else pressure
         return self["Zc"] + np.sqrt(hookean / self["a1"])
 
     @property
-    def steady_strain(self):
-        """Shear strain after which what is left of the start is below round-off."""
+    def steady_strain(self) -> float:
+        """Shear strain that leads to the steady state from any other: the influence of the start is then below round-off."""
         return 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
 
-    def steady(self, volume_fraction):
-        """Steady simple shear at constant volume, du_x/dz > 0: the fixed point of (4.7) with its spin, and of (4.8).
+    def steady(self, volume_fraction: float) -> np.record:
+        """Find the state of steady simple shear at constant volume, du_x/dz > 0: A and Z2 at which (4.7) and (4.8) vanish.
 
         Found by the exact update, whatever the material's method.
+
+        Parameters
+        ----------
+        volume_fraction : float
+            phi, in (0, 1).
+
+        Returns
+        -------
+        record of dtype STATE
         """
         gradient = np.zeros((3, 3))
         gradient[0, 2] = self.steady_strain
         exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
         return exact.update(exact.state(volume_fraction, self["Zc"]), gradient)
 
-    # ---- what the core does ----------------------------------------------------------------------------------------
+    # ---- increments ------------------------------------------------------------------------------------------------
 
-    def update(self, states, gradient, out=None, threads=1):
-        """The states after an increment of deformation; by the method "exact", exact for a velocity gradient constant over it.
+    def update(self, states: States, gradient: ArrayLike, out: np.ndarray | None = None, threads: int = 1) -> States:
+        """Find the states after an increment of deformation, of many points at once.
+
+        The method "exact" integrates (4.7), (4.8) and, with e_r > 0, the relaxation of the stress to round-off, for a velocity
+        gradient that is constant over the increment.
 
         Parameters
         ----------
@@ -252,7 +341,7 @@ class Material:
         out : record array (...) of dtype STATE, contiguous, optional
             Receives the result; may be `states` itself.
         threads : int, optional
-            OpenMP threads that share the points; the result is the same, bit for bit.
+            OpenMP threads that share the points; the result does not depend on their number, bit for bit.
 
         Returns
         -------
@@ -261,36 +350,48 @@ class Material:
         Raises
         ------
         MaterialError
-            With the status of every point; failing points keep their old state, the others are done.
+            If points cannot follow; carries the status of every point. These points keep their old states, the others have their
+            new ones.
+        ValueError
+            If shapes do not match.
         """
         return self._update(states, gradient, out, threads, None)
 
-    def update_with_tangent(self, states, gradient, spin=False, plane=False, out=None, threads=1):
-        """As update, with the consistent tangent: the derivative of the exact update (whatever the method), in closed form.
+    def update_with_tangent(self, states: States, gradient: ArrayLike, spin: bool = False, plane: bool = False,
+                            out: np.ndarray | None = None, threads: int = 1) -> tuple[States, np.ndarray]:
+        """Find the states as `update` does, and the consistent tangent: the derivative of the exact update, whatever the method.
 
-        At D = 0 it is that of a strain of 1e-4 along the last direction (isotropic compression before any).
+        At D = 0 the tangent is that of a strain of 1e-4 along the last direction (isotropic compression before any strain).
 
         Parameters
         ----------
+        states, gradient
+            As in update.
         spin : bool
             Whether the derivatives by the spin increments W_12, W_13, W_23 at fixed strain are appended.
         plane : bool
-            Whether only what plane strain in x and y has is wanted: stresses xx yy zz xy, strains xx yy xy and the spin W_12.
-        states, gradient, out, threads
+            Whether only the components of plane strain in x and y are wanted: stresses xx yy zz xy, strains xx yy xy, spin W_12.
+        out, threads
             As in update.
 
         Returns
         -------
         states : record array (...) of dtype STATE
         tangent : array (..., 6, 6), with the spin (..., 6, 9); plane (..., 4, 3), with the spin (..., 4, 4)
-            d stress_i / d (strain_j, spin_j): tension positive, engineering shear strains, xx yy zz xy xz yz; 0 where the
-            update fails.
+            d stress_i / d (strain_j, spin_j), tension positive, engineering shear strains, in the order xx yy zz xy xz yz; 0 for
+            points that cannot follow.
+
+        Raises
+        ------
+        MaterialError, ValueError
+            As update.
         """
         rows, columns, spins = (4, 3, 1) if plane else (6, 6, 3)
         tangent = np.empty((*np.shape(states), rows, columns + spins * spin))
         return self._update(states, gradient, out, threads, tangent), tangent
 
-    def _update(self, states, gradient, out, threads, tangent):
+    def _update(self, states: np.ndarray | np.record, gradient: ArrayLike, out: np.ndarray | None, threads: int,
+                tangent: np.ndarray | None) -> Any:
         old = np.ascontiguousarray(states, STATE).reshape(-1)
         gradient = np.ascontiguousarray(gradient, float)
         shape = np.shape(states)
@@ -301,7 +402,7 @@ class Material:
         if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
             raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
         if np.may_share_memory(old, new):
-            old = old.copy()                                     # the core may not read what it writes
+            old = old.copy()                                     # the core must not write where it still reads
         status = np.zeros(old.size, np.int32)
         arguments = self._par, old, gradient.reshape(-1, 3, 3), new.reshape(-1), status
         if tangent is not None:
@@ -310,7 +411,7 @@ class Material:
             core.update(*arguments, threads)
         if not self.is_exact:
             core.update_by_method(self._par, self._scheme, *arguments[1:], threads)
-        records = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
+        records: Any = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         if status.any():
             first = int(np.flatnonzero(status)[0])
             others = np.count_nonzero(status) - 1
@@ -318,10 +419,21 @@ class Material:
                                 status.reshape(shape), records)
         return records
 
-    def evaluate(self, states):
-        """The model's stress (..., 6), tension positive, and friction coefficient eta (...) of the states' microstructure.
+    def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the stress and the friction coefficient that the states' microstructure (A, Z2, phi, D^) has by the law.
 
-        Differs from the states' own stress where it is held or, with e_r > 0, relaxing.
+        The stress is not the states' own where that is kept, at D = 0, or relaxes, with e_r > 0.
+
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+
+        Returns
+        -------
+        stress : array (..., 6)
+            Tension positive, (4.1)-(4.4), (A 1), (A 4) or (A 10)-(A 12) by the closure.
+        eta : array (...)
+            Friction coefficient (4.5), (4.6).
         """
         states = np.array(states, STATE)
         eta = core.evaluate(self._par, states.reshape(-1))
@@ -329,54 +441,73 @@ class Material:
 
     # ---- well-posedness ----------------------------------------------------------------------------------------------
 
-    def transverse_modulus(self, states):
-        """eta_t (...) of states: the modulus of the deviatoric stress against a turn of the strain's direction.
+    def transverse_modulus(self, states: np.ndarray) -> np.ndarray:
+        """Transverse modulus over p, eta_t: the stiffness against a change of the strain's direction at constant |D|.
 
         eta_t = b1 + (b2 + a4/2) x + b3 x^2 with x = A:S^; the critical closure has b1 + b2 chi + b3 chi^2. A change T of S^ with
         T:S^ = 0 changes the stress (tension positive) by
 
             p eta_t T + p (b2 + 2 b3 x + a4/2) (A:T) S^ - a3 p (A T + T A - (2/3) (A:T) I),
 
-        so, a3 apart, T:d sigma = eta_t p T:T. It does not depend on e_r, which divides the whole response.
+        so, apart from the term with a3, T:d sigma = eta_t p T:T. With e_r > 0 the whole response is divided by e_r; eta_t does not
+        depend on it.
+
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+
+        Returns
+        -------
+        array (...)
         """
         states = np.ascontiguousarray(states, STATE)
         return core.transverse_modulus(self._par, states.reshape(-1)).reshape(states.shape)
 
-    def response(self, states):
-        """The response C (..., 6, 6) that `ellipticity` searches, in units of p: stress components by engineering strains.
+    def response(self, states: np.ndarray) -> np.ndarray:
+        """Instantaneous response C of the stress to the rate of deformation, from which `ellipticity` forms the acoustic tensor.
 
-        At frozen A, Z2, phi (A = lambda S^ of the critical closure follows D), and D = D^ the state's direction, |D| = 1;
-        tension positive.
+        It is taken at fixed A, Z2, phi (in the critical closure A = lambda S^ changes with D) and at D = D^, the state's direction,
+        |D| = 1:
 
-        - e_r = 0: C = d sigma/dD, of degree -1 in D, so C:D = 0. p depends on D through g only.
-        - e_r > 0: C = d(d sigma/dt)/dD of d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and of dp/dt from (4.2), (4.7),
-          (4.8); of degree 0, so C:D is the rate itself. The jump of p with g tr D^ is left out.
+        - e_r = 0: C = d sigma/dD, which is homogeneous of degree -1 in D, so that C:D = 0. p depends on D only through g.
+        - e_r > 0: C = d(d sigma/dt)/dD with d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and dp/dt from (4.2), (4.7),
+          (4.8); homogeneous of degree 0, so that C:D is the rate of stress. The jump of p with g tr D^ is left out.
 
-        NaN where there is none: before any strain, and for e_r > 0 where p = 0.
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+
+        Returns
+        -------
+        array (..., 6, 6)
+            In units of p, tension positive, by engineering shear strains; NaN where there is none: before any strain, and for
+            e_r > 0 where p = 0.
         """
         states = np.ascontiguousarray(states, STATE)
         return core.response(self._par, states.reshape(-1)).reshape(states.shape + (6, 6))
 
-    def ellipticity(self, states, threads=1):
-        """How far states are from the loss of ellipticity.
+    def ellipticity(self, states: np.ndarray, threads: int = 1) -> Ellipticity:
+        """Find how far states are from the loss of ellipticity.
 
-        The acoustic tensor Q(n) takes v to the traction on n when grad v changes by v n. Over all unit normals n, from a grid and
-        local searches:
+        The acoustic tensor Q(n) gives the change Q v of the traction on the normal n when the velocity gradient changes by v n.
+        Two minima are searched over all normals n, first on a grid and then locally:
 
-        - eigenvalue: the smallest of (Q + Q^T)/2, that is of v.Q(n).v with abs(v) = 1: strong ellipticity;
-        - determinant: the smallest det Q(n); a band along n can form where it reaches 0 (Rudnicki & Rice 1975).
+        - eigenvalue: the smallest eigenvalue of (Q + Q^T)/2, the minimum of v.Q(n).v with abs(v) = 1; strong ellipticity is lost
+          where it reaches 0;
+        - determinant: the smallest det Q(n); a band with the normal n can form where it reaches 0 (Rudnicki & Rice 1975).
 
-        e_r = 0: Q_il = n_j C_ijkl n_k, C of `response`. The volume is kept by a bulk stiffness of some 90 p per strain, which this
-        C has not: v is normal to n and Q is 2 x 2. In plane strain C:D = 0 makes the smallest value 0 at best, as D is the
-        symmetric part of v n for some n, a characteristic: what signals the loss is a negative value.
+        With e_r = 0, Q_il = n_j C_ijkl n_k with C of `response`. A change of volume meets the bulk stiffness, some 90 p per strain,
+        which C does not contain; therefore v is normal to n, and Q is 2 x 2. In plane strain the smallest value is 0 at best, since
+        C:D = 0 and D is the symmetric part of v n for some n, a characteristic; the loss shows in a negative value.
 
-        e_r > 0: all v, 3 x 3, with the rate of p. The spin carries the stress along, which adds
-        ((n.sigma n) I - sigma + (sigma n) n - n (sigma n))/2, exact for the nominal traction rate too (Rice 1976).
+        With e_r > 0, Q is 3 x 3 for all v and contains the rate of p. The spin rotates the stress, which adds
+        ((n.sigma n) I - sigma + (sigma n) n - n (sigma n))/2; this is exact for the rate of the nominal traction too (Rice 1976).
 
         Parameters
         ----------
         states : record array (...) of dtype STATE
         threads : int, optional
+            OpenMP threads that share the points.
 
         Returns
         -------
@@ -388,8 +519,9 @@ class Material:
         least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
         return Ellipticity(self.transverse_modulus(states), least[..., 0], normal[..., 0, :], least[..., 1], normal[..., 1, :])
 
-    def follow(self, state, gradients, modes, functionals, targets, tolerance):
-        """Follows increments of one point; the driver's engine.
+    def follow(self, state: np.record | np.void, gradients: np.ndarray, modes: np.ndarray, functionals: np.ndarray,
+               targets: np.ndarray, tolerance: float) -> tuple[np.recarray, np.ndarray, int]:
+        """Follow increments of one point with free deformations and prescribed stresses; `driver.run` is made of this.
 
         Parameters
         ----------
@@ -399,46 +531,35 @@ class Material:
         modes : array (m, 3, 3)
             Displacement gradients that are free: their amplitudes are found.
         functionals : array (m, 6)
-            Weights of the stress components (tension positive) that are prescribed.
+            Weights of the stress components (tension positive) whose sums are prescribed.
         targets : array (n + 1, m)
-            Their values at the start and after each increment, linear between.
+            Values of these sums at the start and after each increment, linear in between.
         tolerance : float
-            Largest error of fabric/kappa, Z2 and phi in an inner step, where there are free modes.
+            Largest error of fabric/kappa, Z2 and phi in a substep; without free modes there are none.
 
         Returns
         -------
         states : record array (done,) of dtype STATE
         amplitudes : array (done, m)
+            Of the modes in each increment.
         status : int
-            0, or why fewer than n increments were done.
+            0, or the core's status that tells why fewer than n increments were done.
         """
-        return core.follow_path(self._par, self._scheme, np.array(state, STATE).reshape(1), gradients, modes, functionals, targets, tolerance)
+        start = np.array(state, STATE).reshape(1)
+        return core.follow_path(self._par, self._scheme, start, gradients, modes, functionals, targets, tolerance)
 
 
-class Ellipticity(NamedTuple):
-    """What `Material.ellipticity` finds, for states of shape (...)."""
-
-    eta_t: np.ndarray                   # (...): transverse modulus
-    eigenvalue: np.ndarray              # (...): smallest of the acoustic tensor's symmetric part, in p
-    normal: np.ndarray                  # (..., 3): where it is
-    determinant: np.ndarray             # (...): smallest of the acoustic tensor, in p^2 (e_r = 0) or p^3
-    determinant_normal: np.ndarray      # (..., 3): where it is
-
-
-STEADY_DECAYS = 39.0    # exp(-39) is below round-off; Z2 decays by exp(-d2 s), s half the shear strain, the fabric faster
-SLOWEST_DECAY = 1.0     # d2 below which steady states are not waited for any longer
-
-
-def _check_threads(threads):
-    if isinstance(threads, bool) or not isinstance(threads, (int, np.integer)) or threads < 1:
+def _check_threads(threads: int) -> None:
+    if not is_positive_integer(threads):
         raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
 
 
-def _remake(given):
+def _remake(given: dict[str, Any]) -> Material:
     return Material(**given)
 
 
-def _components(name, value, faults):
+def _components(name: str, value: ArrayLike, faults: list[str]) -> np.ndarray:
+    """Six components from what was given for a tensor; 0 and a fault if it is no symmetric tensor of finite numbers."""
     try:
         value = np.asarray(value, float)
     except (TypeError, ValueError):

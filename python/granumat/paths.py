@@ -1,114 +1,137 @@
-"""Path files: a material, an initial state and steps, as TOML."""
+"""Path files: a material, an initial state and the steps of a load path, as TOML."""
 
 import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import driver
-from .checks import is_number, refuse
+from . import steps
+from .checks import attempt, is_finite_number, is_number, refuse
+from .history import ACOUSTIC
 from .material import Material
+from .steps import TOLERANCE, Step
+
+Table = Mapping[str, Any]
 
 INITIAL = {
     "steady": ("phi",), "isotropic": ("phi", "pressure", "Z2"), "given": ("phi", "Z2", "fabric", "direction", "stress"),
 }
-CONTROL = ("control", "free", "stress")
-TESTS = {
-    "isotropic": lambda step: driver.isotropic_compression(**step),
-    "biaxial-drained": lambda step: driver.biaxial(drained=True, **step),
-    "biaxial-undrained": lambda step: driver.biaxial(drained=False, **step),
-    "triaxial-drained": lambda step: driver.triaxial(drained=True, **step),
-    "triaxial-undrained": lambda step: driver.triaxial(drained=False, **step),
-}
-# The key that says what a step is, the keys that it needs, and those that it may have.
-STEPS = {
-    "shear": ((), (*CONTROL, "increments", "until")),
-    "pause": ((), ()),
-    "velocity_gradient": ((), ("strain", *CONTROL, "increments", "until")),
-    "cycles": (("amplitude",), ("control", "increments")),
-    "test": ((), ("compression", "pressure", "increments", "until")),
-    "csv": ((), ("free", "until")),
-}
+TABLES = ("material", "initial", "step", "tolerance", "output")
 
 
 @dataclass(frozen=True)
 class PathFile:
-    """What a path file says."""
+    """What a path file says.
+
+    Attributes
+    ----------
+    material : Material
+    state : record of dtype STATE
+        Start of the path.
+    steps : list of Step
+    tolerance : float
+        Largest error of fabric/kappa, Z2 and phi in a substep where stresses are held.
+    acoustic : bool
+        Whether the history is to have the column "acoustic".
+    """
 
     material: Material
     state: np.record
-    steps: list
-    tolerance: float = driver.TOLERANCE
+    steps: list[Step]
+    tolerance: float = TOLERANCE
     acoustic: bool = False
 
 
-def read_path_file(path):
-    """Reads a path file.
+def read_path_file(filename: str | Path) -> PathFile:
+    """Read a path file.
+
+    Parameters
+    ----------
+    filename : path
+
+    Returns
+    -------
+    PathFile
 
     Raises
     ------
     ValueError
-        Names everything that is wrong with it at once.
+        Names every mistake in the file at once.
+    OSError
+        If the file cannot be read.
     """
-    path = Path(path)
-    content = read_toml(path)
-    faults = [f"unknown table or key {name!r}: allowed are material, initial, step, tolerance, output"
-              for name in content if name not in ("material", "initial", "step", "tolerance", "output")]
+    filename = Path(filename)
+    content = read_toml(filename)
+    faults = [f"unknown table or key {name!r}: allowed are {', '.join(TABLES)}" for name in content if name not in TABLES]
     material = attempt(faults, "", read_material, content)
     state = attempt(faults, "", read_initial, material, content)
     entries = content.get("step", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         faults.append("no steps: give at least one [[step]]")
         entries = []
-    steps = []
+    found = []
     for number, entry in enumerate(entries, 1):
-        steps += attempt(faults, f"step {number}: ", read_step, entry, path.parent) or []
-    tolerance = content.get("tolerance", driver.TOLERANCE)
+        found += attempt(faults, f"step {number}: ", read_step, entry, filename.parent) or []
+    tolerance = content.get("tolerance", TOLERANCE)
     if not is_number(tolerance) or not 0 < tolerance < 1:
         faults.append(f"tolerance = {tolerance!r}: must be a number in (0, 1)")
     output = attempt(faults, "", table_of, content, "output") or {}
-    faults += [f"[output]: unknown key {key!r}: allowed is acoustic" for key in output if key != driver.ACOUSTIC]
-    acoustic = output.get(driver.ACOUSTIC, False)
+    faults += [f"[output]: unknown key {key!r}: allowed is {ACOUSTIC}" for key in output if key != ACOUSTIC]
+    acoustic = output.get(ACOUSTIC, False)
     if not isinstance(acoustic, bool):
-        faults.append(f"[output]: acoustic = {acoustic!r}: must be true or false")
-    refuse(f"{path} cannot be run", faults)
-    return PathFile(material, state, steps, tolerance, acoustic)
+        faults.append(f"[output]: {ACOUSTIC} = {acoustic!r}: must be true or false")
+    refuse(f"{filename} cannot be run", faults)
+    assert material is not None and state is not None            # or there were faults
+    return PathFile(material, state, found, tolerance, acoustic)
 
 
-def read_toml(path):
-    """What a TOML file says; ValueError where it is none."""
-    with open(path, "rb") as file:
+def read_toml(filename: str | Path) -> dict[str, Any]:
+    """What a TOML file says; ValueError if it is not one."""
+    with open(filename, "rb") as file:
         try:
             return tomllib.load(file)
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{path}: not a TOML file: {error}") from None
+            raise ValueError(f"{filename}: not a TOML file: {error}") from None
 
 
-def attempt(faults, prefix, function, *arguments):
-    """The result, or None and one more fault."""
-    try:
-        return function(*arguments)
-    except (ValueError, OSError) as error:
-        faults.append(prefix + str(error).replace("\n", "\n  "))
-        return None
-
-
-def table_of(content, name):
+def table_of(content: Table, name: str) -> dict[str, Any]:
+    """A table of a file by its name, empty if it is not there; ValueError if it is no table."""
     table = content.get(name, {})
     if not isinstance(table, dict):
         raise ValueError(f"{name}: must be a table [{name}]")
     return table
 
 
-def read_material(content):
+def read_material(content: Table) -> Material:
+    """The material of a file's table [material]."""
     return Material(**table_of(content, "material"))
 
 
-def read_initial(material, content):
+def read_initial(material: Material | None, content: Table) -> np.record | None:
+    """Read the state of a file's table [initial].
+
+    Parameters
+    ----------
+    material : Material or None
+        None if the file's material is faulty; then the table is only checked.
+    content : dict
+        Of the file.
+
+    Returns
+    -------
+    record of dtype STATE, or None without a material
+
+    Raises
+    ------
+    ValueError
+        Names every mistake in the table.
+    """
     table = table_of(content, "initial")
     kind = table.get("state")
-    if kind not in INITIAL:
+    if not isinstance(kind, str) or kind not in INITIAL:
         raise ValueError(f"[initial]: state = {kind!r}: must be one of {', '.join(INITIAL)}")
     values = {key: value for key, value in table.items() if key != "state"}
     faults = [f"unknown key {key!r}: allowed with state = {kind!r} are {', '.join(INITIAL[kind])}"
@@ -121,7 +144,7 @@ def read_initial(material, content):
         faults.append("Z2 is missing")
     refuse("[initial]", faults)
     if material is None:
-        return None                                      # its own faults are told already
+        return None
     if kind == "steady":
         return material.steady(values["phi"])
     if kind == "isotropic":
@@ -129,71 +152,133 @@ def read_initial(material, content):
     return material.state(values["phi"], values["Z2"], *(values.get(name) for name in ("fabric", "direction", "stress")))
 
 
-def read_step(entry, directory=Path()):
-    """The Steps of one [[step]] table: several for cycles."""
-    kinds = [kind for kind in STEPS if kind in entry]
+# ---- steps -------------------------------------------------------------------------------------------------------------
+
+def _shear(strain: float, directory: Path, **options: Any) -> list[Step]:
+    return [Step(f"shear {strain:g}", steps.SHEAR, strain, shear=True, **_with_control(options))]
+
+
+def _deformation(gradient: Any, directory: Path, strain: float = 1.0, **options: Any) -> list[Step]:
+    return [Step("deformation", gradient, strain, **_with_control(options))]
+
+
+def _with_control(options: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of Step from keys of a file: `control` is replaced by what it leaves free and holds."""
+    if "free" in options or "stress" in options:
+        return options | {"free": tuple(options.get("free", ())), "stress": options.get("stress", {})}
+    control = steps.controlled(options.pop("control", "volume"))
+    return options | control
+
+
+def _cycles(number: Any, directory: Path, amplitude: float, **options: Any) -> list[Step]:
+    return steps.cycles(amplitude, number, **options)
+
+
+def _test(name: str, directory: Path, **options: Any) -> list[Step]:
+    if name == "isotropic":
+        return [steps.isotropic_compression(**options)]
+    if "compression" not in options:
+        raise ValueError("compression is missing")
+    if "pressure" in options:
+        raise ValueError("pressure belongs to test = \"isotropic\"")
+    make, drained = TESTS[name]
+    return [make(drained=drained, **options)]
+
+
+def _pause(value: bool, directory: Path) -> list[Step]:
+    return [steps.pause()]
+
+
+def _table(name: Any, directory: Path, free: tuple[str, ...] = (), until: str = "") -> list[Step]:
+    return [_from_csv(directory / str(name), tuple(free), until)]
+
+
+TESTS: dict[str, tuple[Callable[..., Step], bool]] = {
+    "isotropic": (steps.isotropic_compression, True),
+    "biaxial-drained": (steps.biaxial, True), "biaxial-undrained": (steps.biaxial, False),
+    "triaxial-drained": (steps.triaxial, True), "triaxial-undrained": (steps.triaxial, False),
+}
+
+
+class _Kind(NamedTuple):
+    """A kind of step: the keys that it needs, those that it may have, and the function that makes it."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
+    make: Callable[..., list[Step]]         # of the value of the key that names the kind, the file's directory, and the other keys
+
+
+CONTROL = ("control", "free", "stress")
+KINDS = {
+    "shear": _Kind((), (*CONTROL, "increments", "until"), _shear),
+    "pause": _Kind((), (), _pause),
+    "velocity_gradient": _Kind((), ("strain", *CONTROL, "increments", "until"), _deformation),
+    "cycles": _Kind(("amplitude",), ("control", "increments"), _cycles),
+    "test": _Kind((), ("compression", "pressure", "increments", "until"), _test),
+    "csv": _Kind((), ("free", "until"), _table),
+}
+# Keys whose values are checked here: the check, and what the value must be in words.
+CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "control": (lambda value: isinstance(value, str) and value in steps.CONTROLS, f"one of {', '.join(steps.CONTROLS)}"),
+    **dict.fromkeys(("shear", "strain", "amplitude", "compression", "pressure"), (is_finite_number, "a finite number")),
+    "free": (lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value), "a list of names"),
+    "stress": (lambda value: isinstance(value, dict), "a table of values"),
+    "until": (lambda value: isinstance(value, str), "a condition in quotes"),
+    "pause": (lambda value: value is True, "true"),
+    "test": (lambda value: isinstance(value, str) and value in TESTS, f"one of {', '.join(TESTS)}"),
+}
+
+
+def read_step(entry: Table, directory: Path = Path()) -> list[Step]:
+    """Read one table [[step]].
+
+    Parameters
+    ----------
+    entry : dict
+        The table.
+    directory : path
+        Where a `csv` file is looked for.
+
+    Returns
+    -------
+    list of Step
+        Several for cycles, otherwise one.
+
+    Raises
+    ------
+    ValueError
+        Names every mistake in the table.
+    OSError
+        If a `csv` file cannot be read.
+    """
+    kinds = [kind for kind in KINDS if kind in entry]
     if len(kinds) != 1:
-        raise ValueError(f"must have exactly one of the keys {', '.join(STEPS)}; has {', '.join(entry) or 'none'}")
-    kind = kinds[0]
-    required, optional = STEPS[kind]
-    faults = [f"unknown key {key!r}: allowed with {kind!r} are {', '.join(required + optional) or 'none'}"
-              for key in entry if key not in (kind, *required, *optional)]
-    faults += [f"{key} is missing" for key in required if key not in entry]
+        raise ValueError(f"must have exactly one of the keys {', '.join(KINDS)}; has {', '.join(entry) or 'none'}")
+    name = kinds[0]
+    kind = KINDS[name]
+    allowed = kind.required + kind.optional
+    faults = [f"unknown key {key!r}: allowed with {name!r} are {', '.join(allowed) or 'none'}"
+              for key in entry if key not in (name, *allowed)]
+    faults += [f"{key} is missing" for key in kind.required if key not in entry]
     if "control" in entry and ("free" in entry or "stress" in entry):
         faults.append("control excludes free and stress, which it sets")
-    if entry.get("control", "volume") not in driver.CONTROLS:
-        faults.append(f"control = {entry['control']!r}: must be one of {', '.join(driver.CONTROLS)}")
-    numbers = ("shear", "strain", "amplitude", "compression", "pressure")
-    faults += [f"{key} = {entry[key]!r}: must be a finite number" for key in numbers
-               if key in entry and not (is_number(entry[key]) and np.isfinite(entry[key]))]
-    if "free" in entry and not (isinstance(entry["free"], list) and all(isinstance(name, str) for name in entry["free"])):
-        faults.append(f"free = {entry['free']!r}: must be a list of names")
-    if "stress" in entry and not isinstance(entry["stress"], dict):
-        faults.append(f"stress = {entry['stress']!r}: must be a table of values")
-    if kind == "pause" and entry["pause"] is not True:
-        faults.append(f"pause = {entry['pause']!r}: must be true")
-    if kind == "test" and entry["test"] not in TESTS:
-        faults.append(f"test = {entry['test']!r}: must be one of {', '.join(TESTS)}")
+    faults += [f"{key} = {entry[key]!r}: must be {words}" for key, (holds, words) in CHECKS.items()
+               if key in entry and not holds(entry[key])]
     refuse("cannot be made", faults)
-
-    values = {key: value for key, value in entry.items() if key != kind}
-    if kind == "shear":
-        return [_with_control("shear {:g}".format(entry["shear"]), driver.SHEAR, entry["shear"], values, shear=True)]
-    if kind == "velocity_gradient":
-        return [_with_control("deformation", entry["velocity_gradient"], values.pop("strain", 1.0), values)]
-    if kind == "cycles":
-        return driver.cycles(values.pop("amplitude"), entry["cycles"], **values)
-    if kind == "csv":
-        return [_from_csv(directory / str(entry["csv"]), tuple(values.get("free", ())), values.get("until", ""))]
-    if kind == "test":
-        if entry["test"] != "isotropic" and "compression" not in values:
-            raise ValueError("compression is missing")
-        if entry["test"] != "isotropic" and "pressure" in values:
-            raise ValueError("pressure belongs to test = \"isotropic\"")
-        return [TESTS[entry["test"]](values)]
-    return [driver.pause()]
-
-
-def _with_control(name, gradient, strain, values, shear=False):
-    if "free" in values or "stress" in values:
-        control = {"free": tuple(values.pop("free", ())), "stress": values.pop("stress", {})}
-    else:
-        control = driver.controlled(values.pop("control", "volume"))
-    return driver.Step(name, gradient, strain, shear=shear, **values, **control)
+    return kind.make(entry[name], directory, **{key: value for key, value in entry.items() if key != name})
 
 
 GRADIENTS = [f"G_{i}{j}" for i in "xyz" for j in "xyz"]
 
 
-def _from_csv(path, free, until):
-    """A step from a table of cumulative values: gamma or G_xx ... G_zz (grad u), and one column per stress condition."""
+def _from_csv(filename: Path, free: tuple[str, ...], until: str) -> Step:
+    """A step from a table of cumulative values: gamma or G_xx ... G_zz (grad u), and one column for each stress condition."""
     try:
-        with open(path, encoding="utf-8") as file:
+        with open(filename, encoding="utf-8") as file:
             names = [name.strip() for name in file.readline().split(",")]
             table = np.loadtxt(file, delimiter=",", ndmin=2)
     except ValueError as error:
-        raise ValueError(f"{path}: not a table of numbers with one line of names: {error}") from None
-    stresses = [name for name in names if name not in GRADIENTS and name != "gamma"]
+        raise ValueError(f"{filename}: not a table of numbers with one line of names: {error}") from None
     faults = []
     if table.shape[0] < 2 or table.shape[1:] != (len(names),):
         faults.append(f"has shape {table.shape}: must have {len(names)} columns and at least 2 rows")
@@ -203,21 +288,33 @@ def _from_csv(path, free, until):
         faults.append("has both gamma and G_xz, which are the same")
     if len(set(names)) < len(names):
         faults.append("names a column twice")
-    refuse(str(path), faults)
-    values = np.zeros((len(table), 9 + len(stresses)))
-    for i, name in enumerate(GRADIENTS):
-        column = "gamma" if name == "G_xz" and "gamma" in names else name
-        if column in names:
-            values[:, i] = table[:, names.index(column)]
-    for i, name in enumerate(stresses):
-        values[:, 9 + i] = table[:, names.index(name)]
-    only_shear = not any(name in names for name in GRADIENTS)
-    return driver.Step(f"path {path.name}", increments=len(table) - 1, free=free, stress=dict.fromkeys(stresses, 0.0),
-                       until=until, shear=only_shear, table=values)
+    refuse(str(filename), faults)
+
+    columns = dict(zip(names, table.T))
+    only_shear = not any(name in GRADIENTS for name in names)
+    if "gamma" in columns:
+        columns["G_xz"] = columns.pop("gamma")
+    zero = np.zeros(len(table))
+    stresses = [name for name in columns if name not in GRADIENTS]
+    values = np.column_stack([columns.get(name, zero) for name in (*GRADIENTS, *stresses)])
+    return Step(f"path {filename.name}", increments=len(table) - 1, free=free, stress=dict.fromkeys(stresses, 0.0),
+                until=until, shear=only_shear, table=values)
 
 
-def write_path_file(path, material, state, step):
-    """Writes a path file that runs one step from a given state, number for number."""
+# ---- writing -----------------------------------------------------------------------------------------------------------
+
+def write_path_file(filename: str | Path, material: Material, state: np.record | np.void, step: Step) -> None:
+    """Write a path file that runs one step from a given state; numbers are written in full.
+
+    Parameters
+    ----------
+    filename : path
+    material : Material
+    state : record of dtype STATE
+        Start of the step.
+    step : Step
+        With a constant gradient and no condition that ends it early.
+    """
     lines = ["[material]", *(f"{name} = {_toml(value)}" for name, value in material.definition.items()), "", "[initial]",
              'state = "given"', f"phi = {_toml(state['volume_fraction'])}", f"Z2 = {_toml(state['coordination_number'])}"]
     lines += [f"{name} = {_toml(state[name])}" for name in ("fabric", "direction", "stress")]
@@ -226,13 +323,12 @@ def write_path_file(path, material, state, step):
     if step.free:
         conditions = ", ".join(f'"{name}" = {_toml(value)}' for name, value in step.stress.items())
         lines += [f"free = {_toml(step.free)}", f"stress = {{ {conditions} }}"]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    Path(filename).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _toml(value):
+def _toml(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"'
     if is_number(value):
         return repr(float(value))
     return "[" + ", ".join(_toml(item) for item in value) + "]"
-

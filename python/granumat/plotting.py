@@ -1,6 +1,8 @@
-"""The picture of a history."""
+"""The figure of a history."""
 
 from matplotlib.figure import Figure
+
+from .history import History
 
 PANELS = (
     ("p", "pressure $p\\,d/k$"), ("stress_ratio", "stress ratio $-\\sigma_{xz}/p$"), ("phi", "volume fraction $\\phi$"),
@@ -8,14 +10,20 @@ PANELS = (
 )
 
 
-def history_figure(history, title=""):
-    """Pressure, stress ratio, volume fraction, coordination number, fabric and normal stresses against accumulated strain.
+def history_figure(history: History, title: str = "") -> Figure:
+    """Draw a history against the accumulated strain: pressure, stress ratio, volume fraction, Z2, fabric, normal stresses.
+
+    Parameters
+    ----------
+    history : granumat.driver.History
+    title : str
 
     Returns
     -------
     matplotlib.figure.Figure
+        Grey vertical lines separate the steps.
     """
-    unit = "k_{Hz}" if history.material.contact == "hertzian" else "k"
+    hertzian = history.material.contact == "hertzian"
     figure = Figure(figsize=(11, 6.5), layout="constrained")
     figure.suptitle(title)
     strain = history["gamma_total"]
@@ -29,7 +37,7 @@ def history_figure(history, title=""):
             axes.plot(strain, history[name])
         for boundary in boundaries:
             axes.axvline(boundary, color="0.8", linewidth=0.8, zorder=0)
-        axes.set_ylabel(label.replace("d/k", f"d/{unit}") if unit == "k" else label.replace("\\,d/k", f"/{unit}"))
+        axes.set_ylabel(label.replace("\\,d/k", "/k_{Hz}") if hertzian else label)
         axes.ticklabel_format(axis="y", useOffset=False)
         axes.grid(linewidth=0.3)
     for axes in figure.axes[3:]:

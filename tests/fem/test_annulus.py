@@ -43,7 +43,7 @@ def test_turning_and_turning_back_follows_the_radial_solution(tmp_path):
 def test_newton_converges_quadratically():
     _, residuals, _ = annulus.turn_and_back("load", 8, 1, 0.04, 0.0, part=1 / 48)
     for history in residuals[1:]:
-        first, second, third = history[:3]                # a linear iteration would leave 10 times as much in the end
+        first, second, third = history[:3]                # linear convergence would leave ten times as much
         assert second < 50 * first**2 and third < 50 * second**2
 
 
@@ -70,7 +70,7 @@ def test_sector_tied_to_itself_is_the_ring(whole):
 
 
 def test_hexahedra_between_two_planes_agree_with_quadrilaterals(whole):
-    solid = turned(cell="hexahedron")              # but for the cells' mean dilatation, which is that of three axes, not of two
+    solid = turned(cell="hexahedron")              # B-bar averages a dilatation of three axes, not of two
     for name in ("torque", "pressure", "phi"):
         assert abs(solid[name] - whole[name]).max() < 0.007 * whole[name].max()
     assert solid["scatter"].max() < 1e-9

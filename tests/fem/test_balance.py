@@ -1,4 +1,4 @@
-"""Energy and mass: what goes in comes out, and no grain is lost."""
+"""External work equals stress power, and the volume of the grains is conserved."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def block(cells=3, degree=1, cell="quadrilateral"):
 
 
 class Works:
-    """Observer: work of everything from outside, and of the stress, by the trapezoidal rule over the increments."""
+    """Observer: external work (reactions and loads) and stress power, by the trapezoidal rule over the increments."""
 
     def __init__(self):
         self.external, self.internal, self.before = 0.0, 0.0, None
@@ -31,9 +31,9 @@ class Works:
         if problem.last is None:
             return
         trial = problem.last
-        x = problem._at_cells(problem.positions + problem.displacement)
-        u = problem._at_cells(trial.u)
-        outside = trial.forces + problem._loads(trial.t) + problem._pressure_loads(x, trial.t)     # reactions and loads
+        x = problem.body.at_cells(problem.positions + problem.displacement)
+        u = problem.body.at_cells(trial.u)
+        outside = trial.forces + problem.loads.dead(trial.t) + problem.loads.pressures(x, trial.t)     # reactions and loads
         strain = tensors.to_voigt((trial.gradients + trial.gradients.transpose(0, 2, 1)) / 2)
         now = outside, trial.stress.reshape(-1, 6), trial.volumes.ravel()
         if self.before is not None:

@@ -47,7 +47,7 @@ def test_linear_tetrahedra_are_those_of_calculix_to_the_printed_digits(calculix,
     from jobs import UNIT
 
     class Tetrahedra(Brick):
-        """Those of a body, whose numbers nodes and elements have."""
+        """The tetrahedra of a body, numbered as there."""
 
         POINTS = 1
 

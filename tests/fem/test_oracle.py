@@ -1,6 +1,6 @@
-"""The element kernels against UFL forms on the moved mesh, where both are exact: everywhere but with mean dilatation.
+"""The element kernels against UFL forms on the moved mesh, for all elements without mean dilatation (B-bar).
 
-On triangles and tetrahedra of degree 1 with their one point there is no difference between a cell's mean and its point's value.
+Triangles and tetrahedra of degree 1 are among them: they have one integration point, whose value is the cell's mean.
 """
 
 import basix
@@ -12,7 +12,7 @@ from dolfinx import fem as forms
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
-from granumat import Material, core, fem, tensors
+from granumat import Material, fem, tensors
 
 KINDS = [("triangle", 1), ("tetrahedron", 1), ("triangle", 2), ("quadrilateral", 2), ("tetrahedron", 2), ("hexahedron", 2)]
 
@@ -28,16 +28,14 @@ class Oracle:
         self.degree = 2 * degree if cell in ("quadrilateral", "hexahedron") else max(1, 2 * degree - 2)
         F = np.eye(d) + 0.3 * rng.uniform(-1, 1, (d, d))
         moved = self.problem.positions @ F.T
-        if degree == 1:                                       # any cells, not only affine ones
+        if degree == 1:                                       # any deformation, not only an affine one
             moved += rng.uniform(-0.05, 0.05, moved.shape)
         x = self.mesh.geometry.x
         x[:, :d] = moved[cKDTree(self.problem.positions).query(x[:, :d])[1]]
-        self.x = moved[self.problem._nodes]
-        self.element = self.problem._element
-        self.mean = self.problem._mean
-        self.rows, self.columns = (slice(4), [0, 1, 3, 6]) if d == 2 else (slice(6), slice(9))     # of a tangent that there are
-        _, self.volumes, status = core.element_gradients(
-            self.mean, self.element.gradients, self.element.weights, self.x, np.zeros_like(self.x))
+        self.x = moved[self.problem.body.cell_nodes]
+        self.body = self.problem.body
+        self.rows, self.columns = (slice(4), [0, 1, 3, 6]) if d == 2 else (slice(6), slice(9))     # of the full tangent
+        _, self.volumes, status = self.body.kinematics(self.x, np.zeros_like(self.x))
         assert not status.any()
         self.stress = rng.uniform(-1, 1, (*self.volumes.shape, 6))
         self.dx = ufl.Measure("dx", self.mesh, metadata={"quadrature_degree": self.degree, "quadrature_scheme": "default"})
@@ -68,7 +66,7 @@ class Oracle:
 
     def forces(self, stress):
         """Nodal forces of a stress, by the kernels."""
-        cells = core.element_forces(self.mean, self.element.gradients, self.x, self.volumes, stress)
+        cells = self.body.internal_forces(self.x, self.volumes, stress)
         total = np.zeros(self.problem.positions.size)
         np.add.at(total, self.dofs(), cells.reshape(len(cells), -1))
         return total
@@ -76,14 +74,14 @@ class Oracle:
     def dofs(self):
         """Number (cells, n) of every displacement component of the cells."""
         d = self.problem.d
-        return (self.problem._nodes[:, :, None] * d + np.arange(d)).reshape(len(self.x), -1)
+        return (self.problem.body.cell_nodes[:, :, None] * d + np.arange(d)).reshape(len(self.x), -1)
 
     def stiffness(self, stress, tangent):
         """The kernels' element matrices, summed over the cells."""
         dofs, size = self.dofs(), self.problem.positions.size
         matrices = np.empty((*dofs.shape, dofs.shape[1]))
-        core.element_stiffness(self.mean, self.element.gradients, self.x, self.volumes,
-                               np.zeros((*self.volumes.shape, 3, 3)), stress, tangent[..., self.rows, self.columns], matrices)
+        self.body.internal_stiffness(self.x, self.volumes, np.zeros((*self.volumes.shape, 3, 3)), stress,
+                                     tangent[..., self.rows, self.columns], matrices)
         total = np.zeros((size, size))
         np.add.at(total, (dofs[:, :, None], dofs[:, None, :]), matrices)
         return total
@@ -121,7 +119,7 @@ def test_stiffness_of_linear_elasticity_is_that_of_its_form(cell, degree, rng):
 def test_geometric_stiffness_is_that_of_the_moving_mesh(cell, degree, rng):
     oracle = Oracle(cell, degree, rng)
     by_u, by_v = ufl.grad(oracle.u), ufl.grad(oracle.v)
-    form = ufl.inner(oracle.sigma(oracle.stress), ufl.tr(by_u) * by_v - by_v * by_u)          # of volume and grad v
+    form = ufl.inner(oracle.sigma(oracle.stress), ufl.tr(by_u) * by_v - by_v * by_u)          # derivatives of dV and of grad v
     found = oracle.stiffness(oracle.stress, np.zeros((*oracle.volumes.shape, 6, 9)))
     assert difference(found, oracle.assembled(form * oracle.dx)) < 1e-13
 

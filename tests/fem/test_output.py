@@ -1,4 +1,4 @@
-"""What runs leave on disk says what happened."""
+"""Fields, tables and pictures on disk agree with the problem that wrote them."""
 
 import xml.etree.ElementTree as ElementTree
 
@@ -7,7 +7,7 @@ import pytest
 from mpi4py import MPI
 
 from granumat import Material, driver, fem, tensors
-from granumat.fem.output import _Vertices
+from granumat.fem.cellwise import VertexMesh
 
 MATERIAL = Material(0.5, elastic_strain=1e-2)
 SHEAR = np.array([[0.02, 0.1, 0], [0, -0.03, 0.05], [0, 0, 0.01]])
@@ -77,7 +77,7 @@ def test_fields_hold_the_mesh_at_the_start_the_displacements_and_the_cells_state
 
 def test_fields_of_a_long_run_go_on_in_further_files(tmp_path, monkeypatch):
     fem.run(homogeneous(), 0.4, 0.05, observers=[fem.Fields(tmp_path / "b.xdmf")])
-    monkeypatch.setattr(fem.Fields, "LARGEST", 2000)                  # bytes: two records
+    monkeypatch.setattr(fem.Fields, "LARGEST_FILE", 2000)                  # bytes: two records
     fields = fem.Fields(tmp_path / "a.xdmf")
     fem.run(homogeneous(), 0.35, 0.05, observers=[fields, fem.Checkpoint(tmp_path / "a.npz", [fields], every=6)])
     assert sorted(path.name for path in tmp_path.glob("a*.bin")) == ["a.1.bin", "a.2.bin", "a.3.bin", "a.4.bin", "a.bin"]
@@ -132,7 +132,7 @@ def test_rows_are_in_the_tables_as_soon_as_their_increment_is_accepted(tmp_path)
 @pytest.mark.parametrize("cell", CELLS)
 def test_pictures_show_the_surface(tmp_path, cell):
     problem = homogeneous(cell)
-    polygons, cells = _Vertices(problem).facets()
+    polygons, cells = VertexMesh(problem.body).polygons()
     expected = {"quadrilateral": 6, "triangle": 12, "hexahedron": 2 * (6 + 6 + 4), "tetrahedron": 4 * (6 + 6 + 4)}[cell]
     assert len(polygons) == expected and cells.max() < problem.cells
     fem.Pictures(tmp_path, "phi").write(problem)

@@ -51,7 +51,7 @@ def test_a_body_under_its_own_pressure_stays_where_it_is(cell, degree):
     assert problem.reaction(bottom)[0][1] == pytest.approx(2 * PRESSURE, abs=1e-12)
 
 
-def test_pressure_and_traction_agree_on_faces_that_do_not_turn():
+def test_pressure_and_traction_agree_on_faces_that_do_not_rotate():
     flat = [fem.Tied(top, 1), fem.Tied(right, 0)]
     pressed = solved(block([*flat, fem.Pressure(right, PRESSURE), fem.Pressure(top, 1.01 * PRESSURE)]))
     length, height = (pressed.positions + pressed.displacement).max(axis=0)
@@ -61,15 +61,15 @@ def test_pressure_and_traction_agree_on_faces_that_do_not_turn():
     assert pulled.displacement == pytest.approx(pressed.displacement, abs=1e-9)
 
 
-def turned_by_one_side():
-    """A body under a pressure all around it, of which one side is turned."""
+def rotated_by_one_side():
+    """A body under a pressure all around it, of which one side is rotated."""
     body = fem.meshes.box(MPI.COMM_WORLD, (2.0, 1.0), (4, 2))
     return fem.Problem(body, SAND, SAND.isotropic(0.6, pressure=PRESSURE), [
         fem.Displacement(left, TURN), *(fem.Pressure(side, PRESSURE) for side in (right, top, bottom))])
 
 
-def test_a_pressure_follows_the_turning_boundary():
-    problem = turned_by_one_side()
+def test_a_pressure_follows_the_rotating_boundary():
+    problem = rotated_by_one_side()
     fem.run(problem, 0.4, 0.1)
     assert problem.displacement == pytest.approx(TURN(problem.positions, 0.4), abs=1e-9)
     assert abs(problem.volume_strain).max() < 1e-9
@@ -149,22 +149,27 @@ def test_facet_tags_name_parts_of_the_boundary():
     facets = np.sort(mesh.locate_entities_boundary(body, 1, top))
     tags = mesh.meshtags(body, 1, facets, np.full(len(facets), 7, np.int32))
     sand = SAND.isotropic(0.6, pressure=PRESSURE)
-    rest = [fem.Displacement(bottom)]
-    by_tag = fem.Problem(body, SAND, sand, [*rest, fem.Displacement(7, [0.01, 0])], facet_tags=tags)
-    by_place = fem.Problem(body, SAND, sand, [*rest, fem.Displacement(top, [0.01, 0])])
+    floor = fem.Displacement(bottom)
+    by_tag = fem.Problem(body, SAND, sand, [floor, fem.Displacement(7, [0.01, 0])], facet_tags=tags)
+    by_place = fem.Problem(body, SAND, sand, [floor, fem.Displacement(top, [0.01, 0])])
     assert (solved(by_tag).displacement == solved(by_place).displacement).all()
     with pytest.raises(ValueError, match="no facet_tags"):
         fem.Problem(body, SAND, sand, [fem.Displacement(7)])
 
 
 def test_a_tangent_is_found_with_the_state_that_a_correction_follows(monkeypatch):
-    """Not with the last state; and where that state was expected to be the last and is not, afterwards."""
-    calls, update = [], Material._update
+    """Not with the state that is expected to be the last one; if a correction follows nevertheless, it is found afterwards."""
+    calls = []
 
-    def counted(*arguments):
-        calls.append("state" if arguments[-1] is None else "both")
-        return update(*arguments)
-    monkeypatch.setattr(Material, "_update", counted)
+    def count(name, kind):
+        update = getattr(Material, name)
+
+        def counted(*arguments, **options):
+            calls.append(kind)
+            return update(*arguments, **options)
+        monkeypatch.setattr(Material, name, counted)
+    count("update", "state")
+    count("update_with_tangent", "both")
 
     def second_increment(tolerances):
         problem = block([fem.Displacement(top, lambda x, t: [0.003 * t**2, -0.002 * t]), fem.Pressure(right, PRESSURE)])
@@ -195,8 +200,21 @@ def test_a_failed_increment_leaves_the_problem_as_it_was():
         problem.accept(trial)
 
 
+def test_a_snapshot_brings_a_problem_back_to_where_it_was():
+    problem = rotated_by_one_side()
+    fem.run(problem, 0.2, 0.1)
+    before = problem.snapshot()
+    found = []
+    for _ in range(2):
+        problem.restore(before)
+        fem.run(problem, 0.4, 0.1)
+        found.append((problem.t, problem.increments, problem.displacement, problem.states, problem.shear_strain))
+    for first, second in zip(*found):
+        assert np.array_equal(first, second)
+
+
 def test_an_increment_is_cut_until_it_can_be_solved_and_grows_again():
-    problem, times = turned_by_one_side(), []
+    problem, times = rotated_by_one_side(), []
     fem.run(problem, 1.0, 0.5, observers=[lambda p: times.append(p.t)])
     steps = np.diff(times)
     assert times[-1] == 1.0

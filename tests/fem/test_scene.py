@@ -1,4 +1,4 @@
-"""A scene is a file: what it may say, what is refused, and that it does what the same Python does."""
+"""Scene files: what they may say, what is refused, and that a file does what the same Python does."""
 
 import contextlib
 import io
@@ -14,7 +14,7 @@ import pytest
 from mpi4py import MPI
 
 from granumat import Material, fem, tensors
-from granumat.fem import scene, system
+from granumat.fem import scene, scene_file, system
 
 ROOT = Path(__file__).parents[2]
 BOX = """
@@ -52,7 +52,7 @@ def written(tmp_path, text):
 
 def faults(tmp_path, text):
     with pytest.raises(ValueError) as caught:
-        scene.read_scene(written(tmp_path, text))
+        scene_file.read_scene(written(tmp_path, text))
     return str(caught.value)
 
 
@@ -153,7 +153,7 @@ def test_a_block_with_pressure_and_gravity_rests(tmp_path):
     np.testing.assert_allclose(-problem.states.stress[:, 2], vertical, rtol=1e-6)
     np.testing.assert_allclose(table["left_F_x"], (0.8 * vertical).mean() * 2, rtol=1e-6)
     p = -tensors.trace(Material(0.5).evaluate(problem.states)[0]) / 3
-    np.testing.assert_allclose(p, vertical * 2.6 / 3, rtol=1e-6)                     # Z2 goes with the pressure
+    np.testing.assert_allclose(p, vertical * 2.6 / 3, rtol=1e-6)                     # Z2 is that of the pressure at each depth
 
 
 def test_steady_shear_is_steady_along_x(tmp_path):
@@ -162,14 +162,14 @@ def test_steady_shear_is_steady_along_x(tmp_path):
             'state = "isotropic"\nphi = 0.60\npressure = 0.007': 'state = "steady"\nphi = 0.60',
             'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]': "",
             "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = [[0, 0], [10, 0.05]], y = 0",
-            "[4, 2]": "[4, 1]"}.items():                                          # several rows: any of them may take the shear
+            "[4, 2]": "[4, 1]"}.items():                                      # with several rows any one may take all of the shear
         assert old in text
         text = text.replace(old, new)
     problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
     start = Material(0.5, elastic_strain=0.01).steady(0.60)
     for name in ("fabric", "stress"):
-        turned = start[name][[0, 2, 1, 4, 3, 5]]
-        np.testing.assert_allclose(problem.states[name], np.tile(turned, (len(problem.states), 1)), atol=1e-9)
+        in_plane = start[name][[0, 2, 1, 4, 3, 5]]
+        np.testing.assert_allclose(problem.states[name], np.tile(in_plane, (len(problem.states), 1)), atol=1e-9)
 
 
 def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
@@ -308,7 +308,7 @@ def test_the_reference_blas_is_warned_of_with_the_better_package(monkeypatch):
         monkeypatch.setattr(system.Path, "read_text", lambda self, place=place, **_: maps.format(place))
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            system._warn_of_reference_blas()
+            system.warn_of_reference_blas()
         assert [("libopenblas0" in str(warning.message)) for warning in caught] == [True] * told
 
 

@@ -41,13 +41,13 @@ def test_the_iterative_solver_gives_the_answer_of_the_direct_one(size, monkeypat
     direct = block(size)
     assert direct.system.solver.getPC().getType() == "lu"
     expected = solved(direct)
-    monkeypatch.setattr(system, "DIRECT_UP_TO", NEVER)
-    monkeypatch.setattr(system, "DIRECT_AT_MOST", NEVER)                       # no second solver to help
+    monkeypatch.setattr(system, "DIRECT_FIRST_UP_TO", NEVER)
+    monkeypatch.setattr(system, "DIRECT_FALLBACK_UP_TO", NEVER)                       # no fallback
     iterative = block(size)
     assert abs(solved(iterative) - expected).max() < 1e-8 * abs(expected).max()
     solver = iterative.system.solver
     assert solver.getPC().getType() == "bjacobi" and solver.getIterationNumber() > 1
-    assert solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED             # what converges is the residual
+    assert solver.getNormType() == PETSc.KSP.NormType.UNPRECONDITIONED             # of the residual itself
 
 
 @pytest.mark.parametrize("kind", ["aij", "baij"])
@@ -55,27 +55,27 @@ def test_the_matrix_is_the_sum_of_the_cells_matrices_and_1_where_there_is_no_unk
     solver = {"mat_type": kind, "pc_type": "lu"}
     for problem in (block((3, 3, 3), solver), bench_fem.shear_cell(MPI.COMM_WORLD, 3, solver=solver)):
         equations = problem.system
-        equations.matrices[:] = np.random.default_rng(0).normal(size=equations.matrices.shape)
+        equations.cell_matrices[:] = np.random.default_rng(0).normal(size=equations.cell_matrices.shape)
         expected = np.zeros((equations.size, equations.size))
-        labels = problem._numbering.labels[problem._nodes].reshape(problem.cells, -1)
+        labels = problem.numbering.cell_labels
         row, column = np.broadcast_arrays(labels[:, :, None], labels[:, None, :])
         there = (row >= 0) & (column >= 0)
-        np.add.at(expected, (row[there], column[there]), equations.matrices[there])
+        np.add.at(expected, (row[there], column[there]), equations.cell_matrices[there])
         unused = np.setdiff1d(np.arange(equations.size), labels)
         assert len(unused) > 0
         expected[unused, unused] = 1
         for _ in range(2):                                                             # the second one is not added to the first
             equations.assemble()
-        matrix = equations._matrix
+        matrix = equations.matrix
         assert matrix.getType() == f"seq{kind}"
         assert abs(matrix.convert("dense").getDenseArray() - expected).max() < 1e-13
 
 
 def test_the_direct_solver_helps_where_the_iterative_one_fails(monkeypatch):
     expected = solved(block((4, 4, 4)))
-    monkeypatch.setattr(system, "DIRECT_UP_TO", NEVER)
+    monkeypatch.setattr(system, "DIRECT_FIRST_UP_TO", NEVER)
     assert abs(solved(block((4, 4, 4), {"ksp_max_it": 2})) - expected).max() < 1e-8 * abs(expected).max()
-    monkeypatch.setattr(system, "DIRECT_AT_MOST", NEVER)
+    monkeypatch.setattr(system, "DIRECT_FALLBACK_UP_TO", NEVER)
     assert "linear solver" in block((4, 4, 4), {"ksp_max_it": 2}).solve_increment(1.0).failure
 
 
@@ -85,7 +85,7 @@ import numpy as np
 from mpi4py import MPI
 from granumat.fem import system
 from granumat.studies import bench_fem
-system.DIRECT_UP_TO = {3: 0}
+system.DIRECT_FIRST_UP_TO = {3: 0}
 problem = bench_fem.shear_cell(MPI.COMM_WORLD, 4)
 for _ in range(2):
     trial = problem.solve_increment(1.0)
@@ -106,7 +106,7 @@ def test_options_reach_the_solver_and_its_parts():
         solved(problem)
     solver = problem.system.solver
     assert solver.getType() == "fgmres" and solver.getTolerances()[0] == 1e-9
-    assert solver.getIterationNumber() == 1                                        # one block, factored: sub_pc_type has arrived
+    assert solver.getIterationNumber() == 1                                        # one block, with a full factor by sub_pc_type
 
 
 def test_a_wrong_value_is_an_error_and_a_wrong_name_a_warning():

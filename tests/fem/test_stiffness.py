@@ -16,7 +16,7 @@ def body(cell):
 
 
 def smooth(x, size, phase):
-    """A displacement field that turns and strains every cell differently."""
+    """A displacement field that rotates and strains every cell differently."""
     waves = np.array([[3.0, 2, 1], [1, 3, 2], [2, 1, 3]])[:x.shape[1], :x.shape[1]]
     return size * np.sin(x @ waves + phase + np.arange(x.shape[1]))
 
@@ -30,19 +30,19 @@ def test_stiffness_is_the_derivative_of_the_forces(cell, degree, rate_term):
         body(cell), material, material.isotropic(0.6, pressure=0.05), degree=degree, rate_term=rate_term,
         conditions=[fem.Displacement(lambda x: np.isclose(x[0], 0), axes=fem.polar((-0.5, 0.1)), components=[0]),
                     fem.Pressure(lambda x: np.isclose(x[0], 1), 0.3)])
-    problem.displacement = smooth(problem.positions, 0.02, 0.3)                # a mesh of uneven cells
-    first = problem._evaluate(smooth(problem.positions, 2e-3, 0.0), 1.0)
+    problem.displacement = smooth(problem.positions, 0.02, 0.3)                # cells of different shapes
+    first, _ = problem.evaluate(smooth(problem.positions, 2e-3, 0.0), 1.0)
     assert not first.failure
     problem.accept(first)
     u, v = smooth(problem.positions, 2e-3, 1.0), smooth(problem.positions, 1.0, 2.0)
-    trial = problem._evaluate(u, 0.5)
+    trial, _ = problem.evaluate(u, 0.5)
     assert not trial.failure
     n = trial.forces.shape[1] * trial.forces.shape[2]
-    direction = problem._numbering.to_axes(v)[problem._nodes].reshape(-1, n)
-    found = np.einsum("crk,ck->cr", problem._stiffness(trial, 0.5), direction)
+    direction = problem.body.at_cells(problem.numbering.to_axes(v)).reshape(-1, n)
+    found = np.einsum("crk,ck->cr", problem.stiffness(trial), direction)
 
     def forces(step):
-        return problem._forces_along_axes(problem._evaluate(u + step * v, 0.5).forces)
+        return problem.numbering.forces_to_axes(problem.evaluate(u + step * v, 0.5)[0].forces)
 
     h, weights = 2e-6, {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}          # of 8th order
     expected = sum(w * (forces(k * h) - forces(-k * h)) for k, w in weights.items()) / h

@@ -29,7 +29,7 @@ def double_dot(x, y):
     return np.einsum("...ij,...ij->...", x, y)
 
 
-def modulus(x):
+def magnitude(x):
     return np.sqrt(double_dot(x, x) / 2)
 
 
@@ -44,7 +44,7 @@ def parts(gradient):
     d, w = (gradient + transposed) / 2, (gradient - transposed) / 2
     tr = np.trace(d, axis1=-2, axis2=-1)
     s = d - scale(tr / 3, np.eye(3))
-    return d, w, s, modulus(d), modulus(s), tr
+    return d, w, s, magnitude(d), magnitude(s), tr
 
 
 def model_stress(c, fabric, z2, gradient, contact="hookean"):
@@ -52,7 +52,7 @@ def model_stress(c, fabric, z2, gradient, contact="hookean"):
     _, _, s, mod_d, _, tr = parts(gradient)
     s_hat = scale(1 / mod_d, s)
     x = double_dot(fabric, s_hat)
-    p = (c["a1"] + c["a2"] * modulus(fabric) + c["g"] * tr / mod_d) * np.maximum(z2 - c["Zc"], 0) ** 2
+    p = (c["a1"] + c["a2"] * magnitude(fabric) + c["g"] * tr / mod_d) * np.maximum(z2 - c["Zc"], 0) ** 2
     if contact == "hertzian":
         p = p ** 1.5
     eta = c["b1"] + c["b2"] * x + c["b3"] * x**2
@@ -123,7 +123,7 @@ def random_increments(rng, n, mu, shear, spin=3.0, volume=0.5, margin=0.005, exc
         x = rng.normal(size=(n, 3, 3))
         x = x + sign * np.swapaxes(x, 1, 2)
         x = x - scale(np.trace(x, axis1=1, axis2=2) / 3, np.eye(3))
-        return scale(1 / modulus(x), x)
+        return scale(1 / magnitude(x), x)
 
     size = shear / 2 * rng.random(n)
     fabric = scale(0.0444 * rng.random(n), random_tensors(1))

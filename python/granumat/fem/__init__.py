@@ -5,8 +5,10 @@ from .checkpoint import Checkpoint, resume
 from .conditions import Displacement, Periodic, Pressure, Tied, Traction, polar, rotation
 from .control import run
 from .errors import SolveError
-from .output import Fields, Pictures, Probe, Reactions, cell_fields, field_figure
+from .fields import Fields, cell_fields
+from .pictures import Pictures, field_figure
 from .problem import Problem, Tolerances
+from .tables import Probe, Reactions
 
 __all__ = ["Checkpoint", "Displacement", "Fields", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Reactions",
            "SolveError", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes", "polar", "resume", "rotation",

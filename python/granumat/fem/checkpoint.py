@@ -4,16 +4,19 @@ import json
 import os
 import time
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..checks import refuse
 from .cellwise import CellOrder, on_rank_0
-from .problem import Trial
+from .output import Output
+from .problem import Problem
+from .trial import Snapshot, Trial
 
-NEAR = 1e-12                        # of the body's size: nodes closer than this are where they were
-NUMBERS = ("t", "increments", "next_increment", "_last_duration")
+POSITION_TOLERANCE = 1e-12          # over the body's size: nodes within this are where they were
 
 
 class Checkpoint:
@@ -34,50 +37,58 @@ class Checkpoint:
         Or when so much time has passed.
     """
 
-    def __init__(self, path, outputs=(), every=None, seconds=None):
+    def __init__(self, path: str | Path, outputs: Sequence[Output] = (), every: int | None = None,
+                 seconds: float | None = None) -> None:
         self.path, self.outputs, self.every, self.seconds = Path(path), tuple(outputs), every, seconds
-        self._written, self._since, self._order = None, time.monotonic(), None
+        self._written: float | None = None                       # pseudo-time of the last checkpoint
+        self._last_clock = time.monotonic()
+        self._order: CellOrder | None = None
 
-    def __call__(self, problem):
-        late = self.seconds is not None and time.monotonic() - self._since >= self.seconds
+    def __call__(self, problem: Problem) -> None:
+        late = self.seconds is not None and time.monotonic() - self._last_clock >= self.seconds
         if problem.comm.bcast(late) or (self.every is not None and problem.increments % self.every == 0):
             self.write(problem)
 
-    def write(self, problem):
-        """Writes the problem as it is."""
+    def write(self, problem: Problem) -> None:
+        """Writes the problem as it is, if an increment was accepted and it has not been written already; collective."""
         if problem.last is None or problem.t == self._written:
             return
-        self._order = self._order or CellOrder(problem.mesh)
-        arrays = {name: self._order.gather(values) for name, values in _arrays(problem).items()}
-        description = {
-            "fingerprint": _fingerprint(problem), "numbers": {name: getattr(problem, name) for name in NUMBERS},
-            "residual": problem.last.residual, "residuals": problem.last.residuals}
+        if self._order is None:
+            self._order = CellOrder(problem.mesh)
+        arrays = {name: self._order.gather(values) for name, values in _cell_arrays(problem, problem.last).items()}
+        description = {"fingerprint": _fingerprint(problem), "numbers": _numbers(problem, problem.last),
+                       "residual": problem.last.residual, "residuals": problem.last.residuals}
 
-        def replace():
-            description["outputs"] = {output.path.name: output.position() for output in self.outputs}
+        def replace_file() -> None:
+            description["outputs"] = {output.path.name: output.bookmark() for output in self.outputs}
             partial = self.path.with_name(self.path.name + ".part")
-            with open(partial, "wb") as file:
-                np.savez(file, description=json.dumps(description, default=float), **arrays)
-                file.flush()
-                os.fsync(file.fileno())
+            with open(partial, "wb") as stream:
+                np.savez(stream, description=json.dumps(description, default=float), **arrays)
+                stream.flush()
+                os.fsync(stream.fileno())
             partial.replace(self.path)
             directory = os.open(self.path.parent, os.O_RDONLY)
             os.fsync(directory)                                  # so that the new name is on disk as well
             os.close(directory)
-        on_rank_0(problem.comm, replace)
-        self._written, self._since = problem.t, time.monotonic()
+        on_rank_0(problem.comm, replace_file)
+        self._written, self._last_clock = problem.t, time.monotonic()
 
 
-def _arrays(problem):
-    """What a checkpoint keeps of this rank's own cells, one row a cell."""
-    nodes, last, rows = problem._nodes, problem.last, (problem.cells, -1)
-    return {"places": problem.positions[nodes], "displacement": problem.displacement[nodes], "u": last.u[nodes],
-            "states": problem.states.reshape(rows), "shear_strain": problem.shear_strain.reshape(rows),
-            "volume_strain": problem.volume_strain.reshape(rows), "gradients": last.gradients.reshape(*last.volumes.shape, 3, 3),
+def _numbers(problem: Problem, last: Trial) -> dict[str, float | None]:
+    return {"t": problem.t, "increments": problem.increments, "next_increment": problem.next_increment,
+            "_last_duration": last.duration}
+
+
+def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
+    """What a checkpoint keeps of this rank's own cells, one row a cell: values at their nodes and at their points."""
+    at_cells, points = problem.body.at_cells, last.volumes.shape
+    return {"places": at_cells(problem.positions), "displacement": at_cells(problem.displacement), "u": at_cells(last.u),
+            "states": problem.states.reshape(points), "shear_strain": problem.shear_strain.reshape(points),
+            "volume_strain": problem.volume_strain.reshape(points), "gradients": last.gradients.reshape(*points, 3, 3),
             "volumes": last.volumes, "stress": last.stress, "forces": last.forces}
 
 
-def _fingerprint(problem):
+def _fingerprint(problem: Problem) -> dict[str, Any]:
     """What must be the same in the problem that is resumed; the same on all ranks."""
     material = {f"material's {name}": value for name, value in problem.material.definition.items()}
     return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "dimension": problem.d,
@@ -88,7 +99,7 @@ def _fingerprint(problem):
                for number, condition in enumerate(problem.conditions)}}
 
 
-def _comparable(value):
+def _comparable(value: Any) -> Any:
     """A number, sequence or state as JSON has it; functions cannot be compared."""
     if callable(value):
         return "a function"
@@ -96,7 +107,7 @@ def _comparable(value):
     return {name: value[name].tolist() for name in value.dtype.names} if value.dtype.names else value.tolist()
 
 
-def resume(path, problem, outputs=()):
+def resume(path: str | Path, problem: Problem, outputs: Sequence[Output] = ()) -> None:
     """Brings a problem, set up as at the start of a run, to where the run's checkpoint was, and its outputs too.
 
     Outputs go on in their files, of which what was written after the checkpoint is cut off.
@@ -116,46 +127,60 @@ def resume(path, problem, outputs=()):
     """
     order, comm = CellOrder(problem.mesh), problem.comm
     fingerprint = _fingerprint(problem)
-    places = order.gather(problem.positions[problem._nodes])
-    arrays = {}
+    positions = order.gather(problem.body.at_cells(problem.positions))
+    arrays: dict[str, np.ndarray] = {}                           # of all cells, on rank 0
 
-    def read():
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays.update(file)
-            description, there = json.loads(str(arrays.pop("description"))), arrays.pop("places")
-        except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
-            raise ValueError(f"{path} is not a checkpoint: {error}") from None
-        before = description["fingerprint"]
-        faults = [f"{name}: {before.get(name)!r} in the checkpoint, {fingerprint.get(name)!r} here"
-                  for name in sorted(before | fingerprint) if before.get(name) != fingerprint.get(name)]
-        if there.shape == places.shape and abs(there - places).max() > NEAR * problem._size:
-            faults.append(f"positions of the nodes: up to {abs(there - places).max():.3g} apart")
+    def read() -> tuple[dict[str, Any], list[str]]:
+        description, content = _read(path)
+        saved_positions = content.pop("places")
+        saved = description["fingerprint"]
+        faults = [f"{name}: {saved.get(name)!r} in the checkpoint, {fingerprint.get(name)!r} here"
+                  for name in sorted(saved | fingerprint) if saved.get(name) != fingerprint.get(name)]
+        if saved_positions.shape == positions.shape:
+            distance = abs(saved_positions - positions).max()
+            if distance > POSITION_TOLERANCE * problem.body.size:
+                faults.append(f"positions of the nodes: up to {distance:.3g} apart")
         refuse(f"{path} belongs to another problem", faults)
-        return description, list(arrays)
+        arrays.update(content)
+        return description, list(content)
 
     description, names = on_rank_0(comm, read)
-    found = {name: order.share(arrays.get(name)) for name in names}
+    problem.restore(_snapshot(problem, description, {name: order.scatter(arrays.get(name)) for name in names}))
+    for output in outputs:
+        bookmark = description["outputs"].get(output.path.name)
+        if bookmark is not None:
+            output.restore(bookmark, comm)
 
-    def nodal(values):
-        nodes = np.zeros_like(problem.positions)
-        nodes[problem._all_nodes] = values
-        return nodes
 
-    def of_points(name):
-        values = found[name][:problem.cells]
+def _read(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Description and arrays of a checkpoint file; ValueError where it is none."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = dict(file)
+        description = json.loads(str(arrays.pop("description")))
+    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
+        raise ValueError(f"{path} is not a checkpoint: {error}") from None
+    if "places" not in arrays:
+        raise ValueError(f"{path} is not a checkpoint: it has no places of the nodes")
+    return description, arrays
+
+
+def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[str, np.ndarray]) -> Snapshot:
+    """The snapshot that a description and arrays of this rank's cells, ghosts last, are of."""
+    def at_nodes(name: str) -> np.ndarray:
+        nodal = np.zeros_like(problem.positions)
+        nodal[problem.body.cell_nodes_with_ghosts] = cell_arrays[name]
+        return nodal
+
+    def at_own_cells(name: str) -> np.ndarray:
+        return cell_arrays[name][:problem.cells]
+
+    def at_points(name: str) -> np.ndarray:
+        values = at_own_cells(name)
         return values.reshape(-1, *values.shape[2:])
 
-    for name, value in description["numbers"].items():
-        setattr(problem, name, value)
-    problem.displacement = nodal(found["displacement"])
-    problem.states = of_points("states").view(np.recarray)
-    problem.shear_strain, problem.volume_strain = of_points("shear_strain"), of_points("volume_strain")
-    problem.last = Trial(
-        problem.t, nodal(found["u"]), problem.states, of_points("gradients"),
-        **{name: found[name][:problem.cells] for name in ("volumes", "stress", "forces")},
-        residual=description["residual"], residuals=description["residuals"])
-    for output in outputs:
-        position = description["outputs"].get(output.path.name)
-        if position is not None:
-            output.restore(position, comm)
+    numbers, states = description["numbers"], at_points("states").view(np.recarray)
+    last = Trial(numbers["t"], numbers["_last_duration"], at_nodes("u"), states, at_points("gradients"), at_own_cells("volumes"),
+                 at_own_cells("stress"), at_own_cells("forces"), description["residual"], tuple(description["residuals"]))
+    return Snapshot(numbers["t"], numbers["increments"], numbers["next_increment"], at_nodes("displacement"), states,
+                    at_points("shear_strain"), at_points("volume_strain"), last)

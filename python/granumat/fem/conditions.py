@@ -1,7 +1,7 @@
-"""What holds a body: displacements, ties, periodic sides, pressures and tractions on parts of its boundary.
+"""What holds and loads a body: displacements, ties, periodic sides, pressures and tractions on parts of its boundary.
 
 Every condition acts on a part of the boundary, `where`: a function of positions x (3, n) that returns n truth values, as DOLFINx
-has it, or the numbers of facet tags (Problem's facet_tags).
+has it, or a number or several of the facet tags that the Problem was given.
 """
 
 from collections.abc import Callable, Sequence
@@ -10,28 +10,29 @@ from dataclasses import dataclass
 import numpy as np
 
 Where = Callable | int | Sequence[int]
+Axes = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
 class Displacement:
-    """Components of the displacement are given.
+    """Components of the displacement are prescribed.
 
     Attributes
     ----------
     where : function or tags
     value : number, sequence, or function of (x (n, d), t), optional
-        Total displacement since the start, along x y (z) also where axes turns them: all of its components, of which those
-        named are used. A function returns (n, d) or what broadcasts to it; see rotation.
+        Total displacement since the start, all of its components along x y (z), also where there are local axes. A function
+        returns (n, d) or what broadcasts to it; see rotation.
     components : sequence of int, optional
-        Which components, counted from 0, all if not given; those of the local axes where there are.
+        Which components are prescribed, counted from 0, along the local axes if there are some; all if not given.
     axes : function of x (n, d), optional
         Local axes (n, d, d), in columns; see polar.
     """
 
     where: Where
-    value: object = 0.0
+    value: float | Sequence[float] | Callable[[np.ndarray, float], np.ndarray] = 0.0
     components: Sequence[int] | None = None
-    axes: Callable | None = None
+    axes: Axes | None = None
 
 
 @dataclass(frozen=True)
@@ -39,29 +40,38 @@ class Tied:
     """A component of the displacement is the same on the whole part: a rigid platen, or, along polar axes, a ring that stays round.
 
     The load on it comes from a Pressure or a Traction on the same part.
+
+    Attributes
+    ----------
+    where : function or tags
+    component : int
+        Counted from 0, along the local axes if there are some.
+    axes : function of x (n, d), optional
+        Local axes (n, d, d), in columns; see polar.
     """
 
     where: Where
     component: int
-    axes: Callable | None = None
+    axes: Axes | None = None
 
 
 @dataclass(frozen=True)
 class Periodic:
-    """The part moves as its partner does.
+    """The part has the displacement of its partner.
 
     Attributes
     ----------
     where : function or tags
     partner : function of x (n, d)
-        Positions on the partner side (n, d), where there must be nodes.
+        Positions (n, d) of the nodes on the partner side at the start.
     axes : function of x (n, d), optional
-        The part's displacement along these axes is the partner's along x y (z): a sector's rotation, see polar.
+        Local axes (n, d, d), in columns, along which the part has the components that the partner has along x y (z): the other
+        side of a sector of a ring, see polar.
     """
 
     where: Where
-    partner: Callable
-    axes: Callable | None = None
+    partner: Callable[[np.ndarray], np.ndarray]
+    axes: Axes | None = None
 
 
 @dataclass(frozen=True)
@@ -76,12 +86,12 @@ class Pressure:
     """
 
     where: Where
-    value: object
+    value: float | Callable[[float], float]
 
 
 @dataclass(frozen=True)
 class Traction:
-    """A force per area of the boundary as it is at the start, which follows no rotation.
+    """A force per area of the boundary at the start, whose direction does not follow the boundary.
 
     Attributes
     ----------
@@ -91,12 +101,12 @@ class Traction:
     """
 
     where: Where
-    value: object
+    value: Sequence[float] | Callable[[float], Sequence[float]]
 
 
-def polar(center=(0.0, 0.0)):
+def polar(center: Sequence[float] = (0.0, 0.0)) -> Axes:
     """Local axes for Displacement, Tied and Periodic: radial, circumferential (, z) about a center in the plane x y."""
-    def axes(x):
+    def axes(x: np.ndarray) -> np.ndarray:
         away = x[:, :2] - np.asarray(center, float)
         radial = away / np.linalg.norm(away, axis=1, keepdims=True)
         frames = np.zeros((len(x), x.shape[1], x.shape[1]))
@@ -108,13 +118,13 @@ def polar(center=(0.0, 0.0)):
     return axes
 
 
-def rotation(angle, center=(0.0, 0.0)):
+def rotation(angle: Callable[[float], float], center: Sequence[float] = (0.0, 0.0)) -> Callable[[np.ndarray, float], np.ndarray]:
     """Value for Displacement: a rigid rotation in the plane x y by angle(t), in radians, about a center."""
-    def value(x, t):
+    def value(x: np.ndarray, t: float) -> np.ndarray:
         away = x[:, :2] - np.asarray(center, float)
         cosine, sine = np.cos(angle(t)), np.sin(angle(t))
-        moved = np.zeros_like(x)
-        moved[:, 0] = (cosine - 1) * away[:, 0] - sine * away[:, 1]
-        moved[:, 1] = sine * away[:, 0] + (cosine - 1) * away[:, 1]
-        return moved
+        displacement = np.zeros_like(x)
+        displacement[:, 0] = (cosine - 1) * away[:, 0] - sine * away[:, 1]
+        displacement[:, 1] = sine * away[:, 0] + (cosine - 1) * away[:, 1]
+        return displacement
     return value

@@ -1,21 +1,27 @@
-"""From increment to increment: as large as they go, cut where they fail, and a reason when it must stop."""
+"""A run from increment to increment: they grow while they are solved easily, are cut where they fail, and stop with a reason."""
 
 import time
+from collections.abc import Callable, Sequence
+from typing import TextIO
 
 import numpy as np
 
 from .. import tensors
 from ..checks import refuse
-from .errors import SolveError, in_words
+from .errors import SolveError, format_position
+from .problem import Problem
 
-CUT = 0.5                          # of an increment that fails
-GROWTH = 1.5                       # of the next one after an increment that was solved with ease
-EASE = 6                           # Newton iterations
-SMALLEST = 1 / 1024                # of the increment that was asked for, if nothing else is said
-ROUND_OFF = 1e-9                   # of an increment: closer to an event, the event is reached
+CUT_FACTOR = 0.5                    # of an increment that fails
+GROWTH_FACTOR = 1.5                 # of the increment after one that was solved easily,
+EASY_ITERATIONS = 6                 # in at most so many Newton iterations
+SMALLEST_INCREMENT = 1 / 1024       # over the first one, if the user says nothing else
+TIME_ROUND_OFF = 1e-9               # over an increment: an event as close as that to its end is its end
+QUIET_SECONDS = 2.0                 # between two lines of progress
 
 
-def run(problem, until, increment, *, smallest=None, events=(), observers=(), progress=None):
+def run(problem: Problem, until: float, increment: float | Callable[[float], float], *, smallest: float | None = None,
+        events: Sequence[float] = (), observers: Sequence[Callable[[Problem], object]] = (),
+        progress: TextIO | None = None) -> None:
     """Brings a problem to the pseudo-time `until`, and shows it to observers after every accepted increment.
 
     Parameters
@@ -25,9 +31,9 @@ def run(problem, until, increment, *, smallest=None, events=(), observers=(), pr
     increment : float or function of t
         The largest increment of pseudo-time.
     smallest : float, optional
-        Where cutting ends; 1/1024 of the first increment if not given.
+        Increments are not cut to less; 1/1024 of the first increment if not given.
     events : sequence of float, optional
-        Times that are met exactly: reversals and other kinks of what is given.
+        Pseudo-times that are met exactly: reversals and other kinks of what is prescribed.
     observers : sequence of functions of the problem
         Called before the first increment and after every accepted one, on all ranks.
     progress : stream, optional
@@ -40,77 +46,77 @@ def run(problem, until, increment, *, smallest=None, events=(), observers=(), pr
     SolveError
         An increment cannot be solved however small; the problem and what observers wrote hold everything up to it.
     """
-    size = increment if callable(increment) else lambda t: increment
-    smallest = size(problem.t) * SMALLEST if smallest is None else smallest
+    def largest(t: float) -> float:
+        return increment(t) if callable(increment) else increment
+
+    smallest = largest(problem.t) * SMALLEST_INCREMENT if smallest is None else smallest
     faults = []
     if not np.isfinite(until) or until < problem.t:
         faults.append(f"until = {until!r}: must be finite and not before the problem's t = {problem.t:g}")
-    if not size(problem.t) > 0:
-        faults.append(f"increment = {size(problem.t)!r}: must be above 0")
-    if not 0 < smallest <= max(size(problem.t), 0):
+    if not largest(problem.t) > 0:
+        faults.append(f"increment = {largest(problem.t)!r}: must be above 0")
+    if not 0 < smallest <= max(largest(problem.t), 0):
         faults.append(f"smallest = {smallest!r}: must be above 0 and at most the increment")
     refuse("the problem cannot be run", faults)
     stops = sorted({float(event) for event in events if event < until} | {float(until)})
-    watch = _Progress(problem, until, progress if problem.comm.rank == 0 else None)
+    show_progress = _Progress(problem, until, progress if problem.comm.rank == 0 else None)
     for observe in observers:
         observe(problem)
-    while problem.t < until - ROUND_OFF * smallest:
-        wanted = min(size(problem.t), problem.next_increment or np.inf)
-        stop = next(stop for stop in stops if stop > problem.t + ROUND_OFF * smallest)
-        duration = stop - problem.t if problem.t + wanted > stop - ROUND_OFF * wanted else wanted
+    while problem.t < until - TIME_ROUND_OFF * smallest:
+        wanted = min(largest(problem.t), problem.next_increment or np.inf)
+        stop = next(stop for stop in stops if stop > problem.t + TIME_ROUND_OFF * smallest)
+        duration = stop - problem.t if problem.t + wanted > stop - TIME_ROUND_OFF * wanted else wanted
         trial = problem.solve_increment(duration)
         if trial.failure:
-            problem.next_increment = CUT * duration
+            problem.next_increment = CUT_FACTOR * duration
             if problem.next_increment < smallest:
                 raise SolveError(f"the increment from t = {problem.t:g} cannot be solved, although it was cut to {duration:.3g}: "
                                  f"{trial.failure}{diagnosis(problem)}")
             continue
-        easy = len(trial.residuals) <= EASE + 1
-        if duration == wanted or not easy:                      # one that an event shortened says nothing of the next
-            problem.next_increment = duration * (GROWTH if easy else 1.0)
-        problem.accept(trial)
-        if stop == problem.t or abs(stop - problem.t) <= ROUND_OFF * smallest:
-            problem.t = stop
+        easy = len(trial.residuals) <= EASY_ITERATIONS + 1
+        if duration == wanted or not easy:                      # how easy one is that an event shortened tells nothing
+            problem.next_increment = duration * (GROWTH_FACTOR if easy else 1.0)
+        problem.accept(trial, stop if abs(stop - trial.t) <= TIME_ROUND_OFF * smallest else None)
         for observe in observers:
             observe(problem)
-        watch()
+        show_progress()
 
 
-def diagnosis(problem):
-    """What about the last accepted state can explain a failure, in words; the same on all ranks."""
+def diagnosis(problem: Problem) -> str:
+    """What about the last accepted state can explain a failure, as clauses for a message; collective, the same on all ranks."""
     states = problem.states
-    pressure = -tensors.trace(states.stress) / 3
+    pressure = -tensors.trace(states["stress"]) / 3
     eta_t = problem.material.transverse_modulus(states)
-    words = []
-    for count, value, name in ((pressure <= 0, pressure, "are unjammed (p = 0)"),
-                               (eta_t < 0, eta_t, "have lost ellipticity (eta_t < 0)")):
-        total = problem.comm.allreduce(int(count.sum()))
+    clauses = []
+    for suspect, values, finding in ((pressure <= 0, pressure, "are unjammed (p = 0)"),
+                                     (eta_t < 0, eta_t, "have lost ellipticity (eta_t < 0)")):
+        total = problem.comm.allreduce(int(suspect.sum()))
         if total:
-            least, at = _least(problem, value)
-            words.append(f"{total} of {problem.comm.allreduce(len(states))} points {name}, least {least:.3g} at {at}")
-    return "".join(f"; {word}" for word in words)
+            least, position = _smallest(problem, values)
+            clauses.append(f"{total} of {problem.comm.allreduce(len(states))} points {finding}, least {least:.3g} at {position}")
+    return "".join(f"; {clause}" for clause in clauses)
 
 
-def _least(problem, values):
-    """The smallest value over all ranks, and its position in words."""
+def _smallest(problem: Problem, values: np.ndarray) -> tuple[float, str]:
+    """The smallest of values (points) over all ranks, and where it is."""
     i = int(np.argmin(values)) if len(values) else None
-    mine = (np.inf, "") if i is None else (float(values[i]), in_words(problem.point_positions()[i]))
-    return min(problem.comm.allgather(mine))
+    own = (np.inf, "") if i is None else (float(values[i]), format_position(problem.point_positions()[i]))
+    return min(problem.comm.allgather(own))
 
 
 class _Progress:
     """Prints a line with the remaining time every few seconds."""
 
-    def __init__(self, problem, until, stream, quiet_seconds=2.0):
-        self.problem, self.until, self.stream, self.quiet_seconds = problem, until, stream, quiet_seconds
-        self.first, self.start = problem.t, time.monotonic()
-        self.last = self.start
+    def __init__(self, problem: Problem, until: float, stream: TextIO | None) -> None:
+        self._problem, self._until, self._stream = problem, until, stream
+        self._first, self._start = problem.t, time.monotonic()
+        self._shown = self._start
 
-    def __call__(self):
+    def __call__(self) -> None:
         now = time.monotonic()
-        if self.stream is None or now - self.last < self.quiet_seconds:
+        if self._stream is None or now - self._shown < QUIET_SECONDS:
             return
-        self.last = now
-        share = (self.problem.t - self.first) / (self.until - self.first)
-        print(f"t = {self.problem.t:.6g} of {self.until:.6g}: {share:.0%}, {(now - self.start) * (1 / share - 1):.0f} s to go",
-              file=self.stream, flush=True)
+        self._shown = now
+        done = (self._problem.t - self._first) / (self._until - self._first)
+        print(f"t = {self._problem.t:.6g} of {self._until:.6g}: {done:.0%}, {(now - self._start) * (1 / done - 1):.0f} s to go",
+              file=self._stream, flush=True)

@@ -1,15 +1,19 @@
-"""Meshes of the standard geometries."""
+"""Meshes of the standard geometries and of gmsh files."""
+
+from collections.abc import Sequence
+from pathlib import Path
 
 import dolfinx.mesh
 import numpy as np
+from mpi4py import MPI
 
 from ..checks import refuse
-from ._compat import mesh_of
+from ._compat import FacetTags, create_mesh, gmsh_reader, quiet_compiler
 
-CELLS = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}
+CELL_SHAPES = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}
 
 
-def box(comm, size, cells, cell=None):
+def box(comm: MPI.Comm, size: Sequence[float], cells: Sequence[int], cell: str | None = None) -> dolfinx.mesh.Mesh:
     """A rectangle (2 sizes) or a block (3), one corner at 0.
 
     Parameters
@@ -20,15 +24,21 @@ def box(comm, size, cells, cell=None):
         Along each side.
     cell : str, optional
         "quadrilateral" or "triangle"; "hexahedron" or "tetrahedron".
+
+    Raises
+    ------
+    ValueError
+        The mesh cannot be made of the arguments.
     """
     cell = check_box(size, cells, cell)
-    kind = getattr(dolfinx.mesh.CellType, cell)
+    cell_type = getattr(dolfinx.mesh.CellType, cell)
     create = dolfinx.mesh.create_rectangle if len(size) == 2 else dolfinx.mesh.create_box
-    return create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), kind)
+    return create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), cell_type)
 
 
-def annulus(comm, radii, cells, height=None, cell=None, grading=1.0, angle=2 * np.pi):
-    """A ring about the z axis, or a part of it from the x axis on; a hollow cylinder from z = 0 where a height is given.
+def annulus(comm: MPI.Comm, radii: Sequence[float], cells: Sequence[int], height: float | None = None, cell: str | None = None,
+            grading: float = 1.0, angle: float = 2 * np.pi) -> dolfinx.mesh.Mesh:
+    """A ring about the z axis, or a sector of it that begins at the x axis; with a height a hollow cylinder on z = 0.
 
     Parameters
     ----------
@@ -42,7 +52,12 @@ def annulus(comm, radii, cells, height=None, cell=None, grading=1.0, angle=2 * n
     grading : float, optional
         Ratio of the outermost ring's width to the innermost's.
     angle : float, optional
-        Of a part, to be tied to itself by Periodic with polar axes; the sectors are then those of the part.
+        Of a sector, whose two sides Periodic with polar axes ties together; `cells` are then those of the sector.
+
+    Raises
+    ------
+    ValueError
+        The mesh cannot be made of the arguments.
     """
     cell = check_annulus(radii, cells, height, cell, grading, angle)
     rings, sectors = cells[:2]
@@ -51,43 +66,90 @@ def annulus(comm, radii, cells, height=None, cell=None, grading=1.0, angle=2 * n
     r[-1] = radii[1]
     rays = sectors if angle == 2 * np.pi else sectors + 1
     theta = angle * np.arange(rays) / sectors
-    plane = np.stack([np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()], axis=1)
+    positions = np.stack([np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()], axis=1)
     i, j = np.divmod(np.arange(rings * sectors), sectors)
     corners = np.stack([i * rays + j, (i + 1) * rays + j, i * rays + (j + 1) % rays, (i + 1) * rays + (j + 1) % rays], axis=1)
     if height is not None:
-        z = np.linspace(0, height, cells[2] + 1)
-        plane = np.concatenate([np.hstack([plane, np.full((len(plane), 1), level)]) for level in z])
+        levels = np.linspace(0, height, cells[2] + 1)
+        positions = np.concatenate([np.hstack([positions, np.full((len(positions), 1), z)]) for z in levels])
         step = (rings + 1) * rays
         corners = np.concatenate([np.hstack([corners + k * step, corners + (k + 1) * step]) for k in range(cells[2])])
-    return mesh_of(comm, cell, _split(corners, cell), plane)
+    return create_mesh(comm, cell, _split(corners, cell), positions)
 
 
-def _split(corners, cell):
+def from_gmsh(comm: MPI.Comm, file: str | Path) -> tuple[dolfinx.mesh.Mesh, FacetTags, dict[str, int]]:
+    """The mesh of a gmsh file.
+
+    Returns
+    -------
+    mesh : dolfinx.mesh.Mesh
+    facet_tags : dolfinx.mesh.MeshTags
+    names : dict
+        The tags of the facets' physical names.
+
+    Raises
+    ------
+    ImportError
+        The Python module of gmsh is missing.
+    ValueError
+        gmsh cannot read the file, or it names no cells; the same on all ranks.
+    """
+    try:
+        import gmsh
+    except ImportError:
+        raise ImportError("meshes from gmsh files need the Python module of gmsh (Debian: python3-gmsh)") from None
+    found, fault = None, None
+    if comm.rank == 0:
+        gmsh.initialize()
+        try:
+            gmsh.option.setNumber("General.Terminal", 0)
+            gmsh.open(str(file))
+            d = gmsh.model.getDimension()
+            groups = gmsh.model.getPhysicalGroups()
+            if d not in (2, 3) or not any(dimension == d for dimension, _ in groups):
+                fault = f"{file}: must have a physical group of surfaces (plane) or volumes, the cells of the body"
+            names = {gmsh.model.getPhysicalName(*group): group[1] for group in groups if group[0] == d - 1}
+            found = d, {name: tag for name, tag in names.items() if name}
+        except Exception as error:                               # gmsh raises nothing more special
+            fault = f"{file} cannot be read by gmsh: {error}"
+    fault, found = comm.bcast((fault, found))
+    if fault is None:
+        with quiet_compiler():
+            mesh_and_tags = gmsh_reader().model_to_mesh(gmsh.model, comm, 0, gdim=found[0])
+    if comm.rank == 0:
+        gmsh.finalize()
+    if fault is not None:
+        raise ValueError(fault)
+    return mesh_and_tags[0], mesh_and_tags[2], found[1]
+
+
+def _split(corners: np.ndarray, cell: str) -> np.ndarray:
     """Quadrilaterals into two triangles, hexahedra into six tetrahedra, all along the same diagonal."""
     if cell == "triangle":
         return corners[:, [[0, 1, 3], [0, 2, 3]]].reshape(-1, 3)
     if cell == "tetrahedron":
-        ways = [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]]
-        return corners[:, ways].reshape(-1, 4)
+        parts = [[0, 1, 3, 7], [0, 1, 5, 7], [0, 2, 3, 7], [0, 2, 6, 7], [0, 4, 5, 7], [0, 4, 6, 7]]
+        return corners[:, parts].reshape(-1, 4)
     return corners
 
 
-def check_annulus(radii, cells, height=None, cell=None, grading=1.0, angle=2 * np.pi):
+def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | None = None, cell: str | None = None,
+                  grading: float = 1.0, angle: float = 2 * np.pi) -> str:
     """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
     sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
     return check_box(sizes[-2:] if height is None else sizes, cells, cell,
                      radii[0] > 0 and cells[1] * 2 * np.pi >= 3 * angle > 0 and angle <= 2 * np.pi and grading > 0)
 
 
-def check_box(size, cells, cell=None, more=True):
-    """The name of the cells' shape; ValueError where box cannot be made of its arguments."""
+def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None, more: bool = True) -> str:
+    """The name of the cells' shape; ValueError where box cannot be made of its arguments, or where `more` is false."""
     faults = []
     if len(size) not in (2, 3) or not (np.asarray(size, float) > 0).all() or not more:
         faults.append(f"sizes {size!r}: must be 2 or 3 numbers above 0; of a ring also radius, grading, and "
                       "angle, at most 2 pi, and 3 sectors or more a turn")
     elif len(cells) != len(size) or not all(isinstance(count, (int, np.integer)) and count > 0 for count in cells):
         faults.append(f"cells = {cells!r}: must be {len(size)} integers above 0")
-    elif cell is not None and cell not in CELLS[len(size)]:
-        faults.append(f"cell = {cell!r}: must be one of {', '.join(CELLS[len(size)])}")
+    elif cell is not None and cell not in CELL_SHAPES[len(size)]:
+        faults.append(f"cell = {cell!r}: must be one of {', '.join(CELL_SHAPES[len(size)])}")
     refuse("the mesh cannot be made", faults)
-    return cell or CELLS[len(size)][0]
+    return cell or CELL_SHAPES[len(size)][0]

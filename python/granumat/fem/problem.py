@@ -1,87 +1,53 @@
-"""A quasi-static boundary-value problem: one increment at a time, accepted or not."""
+"""A quasi-static boundary-value problem: Newton's method for one increment at a time, which is accepted or not."""
 
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
-from dolfinx import fem
-from mpi4py import MPI
 
-from .. import core, tensors
+from .. import tensors
 from ..checks import is_number, refuse
 from ..core import STATE, status_message
 from ..errors import MaterialError
-from ._compat import ReferenceCell, cell_nodes, vector_space
-from .conditions import Displacement, Periodic, Pressure, Tied, Traction
-from .errors import in_words
-from .numbering import GIVEN, Numbering
+from ..material import Material
+from ._compat import FacetTags
+from .body import ELEMENT_FAILURES, Body
+from .conditions import Displacement, Periodic, Pressure, Tied, Traction, Where
+from .errors import format_position
+from .loads import Loads
+from .numbering import Numbering
 from .system import System
+from .trial import Snapshot, Trial
 
-ELEMENT_FAILURES = ("", "the mesh is inverted", "the increment turns or strains a cell by too much")
-LARGEST_CUT = 1 / 16                       # of a correction, by the line search
-ROUND_OFF = 1e-12                          # of displacements, relative to what they add to
-REST = 1e-5                                # k/d: stress that residuals are relative to where there is none
-LOOSE = 1e-6                               # k/d: stiffness of points without pressure, in Newton's matrix only
-SURE = 1e-3                                # part of the tolerance of forces that leaves nothing to correct
-SUFFICIENT = 1e-4                          # part of the expected decrease that a correction must bring
+SHORTEST_STEP = 1 / 16              # fraction of Newton's correction at which the line search ends
+SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step must take off it, a shorter one in proportion
+PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
+DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
+STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
+UNJAMMED_STIFFNESS = 1e-6           # in k/d: where -tr(stress) is less, it is added to the tangent alone, against singular matrices
 
 
 @dataclass(frozen=True)
 class Tolerances:
-    """When an increment counts as solved: the forces are small, and the last correction or the forces before it.
+    """When an increment counts as solved: the residual is small, and so is the last correction or the residual before it.
 
-    (Where a body of several layers shears steadily an increment is not unique, and corrections do not settle.)
+    The second way is for bodies whose layers shear steadily: there the increment is not unique, and corrections stay large.
 
     Attributes
     ----------
     force : float
-        Norm of the residual forces, relative to that of all cells' nodal forces.
+        Norm of the residual forces, relative to that of all cells' internal forces.
     correction : float
-        Largest last correction of a displacement, relative to the largest displacement of the increment.
+        Largest displacement of the last correction, relative to the largest one of the increment.
     iterations : int
-        At most so many Newton iterations.
+        Largest number of Newton iterations.
     """
 
     force: float = 1e-8
     correction: float = 1e-5
     iterations: int = 15
-
-
-@dataclass
-class Trial:
-    """What an increment leads to: the problem itself is as it was until it accepts the trial.
-
-    Attributes
-    ----------
-    t : float
-        Pseudo-time at its end.
-    u : array (nodes, d)
-        Displacements of the increment.
-    states : record array (points) of dtype STATE
-    gradients : array (points, 3, 3)
-        du_i/dx_j of the increment as the material got it.
-    volumes : array (cells, points per cell)
-    tangent : array or None
-        The material's, until it is used.
-    forces : array (cells, nodes per cell, d)
-        What the cells' nodes need from outside: internal forces less loads.
-    residuals : list of float
-        Relative force residuals of Newton's iterations.
-    failure : str
-        Empty where the increment is solved, else why it is not.
-    """
-
-    t: float
-    u: np.ndarray
-    states: np.ndarray = None
-    gradients: np.ndarray = None
-    volumes: np.ndarray = None
-    stress: np.ndarray = None
-    tangent: np.ndarray = None
-    forces: np.ndarray = None
-    residual: float = np.inf
-    residuals: list = field(default_factory=list)
-    failure: str = ""
 
 
 class Problem:
@@ -116,6 +82,7 @@ class Problem:
     positions : array (nodes, d)
         Of this rank's nodes (ghosts last) at the start.
     displacement : array (nodes, d)
+        Since the start.
     states : record array (points) of dtype STATE
         Of this rank's own cells, cell by cell.
     shear_strain, volume_strain : array (points)
@@ -125,7 +92,16 @@ class Problem:
     last : Trial or None
         The increment accepted last.
     next_increment : float or None
-        The increment of pseudo-time that is to be tried next, where the ones before say so.
+        Largest increment of pseudo-time that `run` tries next, from how easily those before were solved; None: no limit.
+    mesh, space, comm, d, cells
+        Those of the body.
+    body : Body
+        Mesh, elements, parts of the boundary.
+    numbering : Numbering
+        Which equation each displacement component belongs to.
+    loads : Loads
+    system : System
+        The linear equations; system.size is the number of unknowns of all ranks.
 
     Raises
     ------
@@ -133,352 +109,324 @@ class Problem:
         Names everything that is wrong at once.
     """
 
-    def __init__(self, mesh, material, state, conditions=(), *, degree=1, gravity=None, rate_term=0.0, facet_tags=None,
-                 tolerances=Tolerances(), solver=None):
-        d = mesh.geometry.dim
-        faults = []
-        if d not in (2, 3) or mesh.topology.dim != d:
-            faults.append(f"the mesh has cells of dimension {mesh.topology.dim} in {d} dimensions: must be 2 in 2 or 3 in 3")
-        if degree not in (1, 2):
-            faults.append(f"degree = {degree!r}: must be 1 or 2")
-        if not is_number(rate_term) or not 0 <= rate_term < np.inf:
-            faults.append(f"rate_term = {rate_term!r}: must be a finite number, at least 0")
-        if gravity is not None and (np.shape(gravity) != (d,) or not np.isfinite(gravity).all()):
-            faults.append(f"gravity = {gravity!r}: must be {d} finite numbers")
-        if material.method != "exact":
-            faults.append(f"the material's method is {material.method!r}: must be 'exact', whose tangent this is")
-        kinds = (Displacement, Tied, Periodic, Pressure, Traction)
-        faults += [f"condition {number}: {condition!r} is none of {', '.join(kind.__name__ for kind in kinds)}"
-                   for number, condition in enumerate(conditions) if not isinstance(condition, kinds)]
-        refuse("the problem cannot be set up", faults)
-        self.mesh, self.material, self.degree, self.conditions = mesh, material, degree, tuple(conditions)
+    def __init__(self, mesh: dolfinx.mesh.Mesh, material: Material, state: np.void | Callable, conditions: Sequence[object] = (), *,
+                 degree: int = 1, gravity: Sequence[float] | None = None, rate_term: float = 0.0,
+                 facet_tags: FacetTags | None = None, tolerances: Tolerances = Tolerances(),
+                 solver: dict[str, object] | None = None) -> None:
+        refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term))
+        self.material, self.degree, self.conditions = material, degree, tuple(conditions)
         self.rate_term, self.gravity, self.initial, self.tolerances = rate_term, gravity, state, tolerances
-        self.comm, self.d = mesh.comm, d
-        self._facet_tags = facet_tags
-        self.space = vector_space(mesh, degree)
-        self._element = ReferenceCell(mesh, degree)
-        self._mean = int(degree == 1)
-        self.cells = mesh.topology.index_map(d).size_local
-        self._all_nodes = cell_nodes(self.space)
-        self._nodes = self._all_nodes[:self.cells]
-        self.positions = np.ascontiguousarray(self.space.tabulate_dof_coordinates()[:, :d])
-        self._size = self._largest(self.positions)
-        self._numbering = Numbering(self.space, self.positions, self._size, self.nodes_at, self.conditions)
-        cell_labels = self._numbering.labels[self._nodes].reshape(self.cells, -1)
-        owned = self.space.dofmap.index_map.size_local * d
-        self.system = System(self.comm, owned, d, cell_labels, self._numbering.labels, solver or {})
-        self._given = self._numbering.labels == GIVEN
-        self._turned_cells = np.flatnonzero(self._numbering.turned[self._nodes].any(axis=1))
+        self.body = Body(mesh, degree, facet_tags)
+        self.mesh, self.space, self.comm, self.d = mesh, self.body.space, self.body.comm, self.body.d
+        self.cells, self.positions = self.body.cells, self.body.positions
+        self.numbering = Numbering(self.body, self.conditions)
+        self.system = System(self.comm, self.body.owned_nodes * self.d, self.d, self.numbering.cell_labels, self.numbering.labels,
+                             solver or {})
 
-        self.t, self.increments, self.last, self._last_duration, self.next_increment = 0.0, 0, None, None, None
+        self.t, self.increments = 0.0, 0
+        self.last: Trial | None = None
+        self.next_increment: float | None = None
         self.displacement = np.zeros_like(self.positions)
-        points = self.cells * len(self._element.weights)
-        self.states = np.empty(points, STATE).view(np.recarray)
+        points = self.cells * len(self.body.element.weights)
+        self.states: np.ndarray = np.empty(points, STATE).view(np.recarray)
         self.states[:] = state(self.point_positions()) if callable(state) else state
         self.shear_strain, self.volume_strain = np.zeros(points), np.zeros(points)
-        self._loads = self._dead_loads(gravity)
-        self._pressures = [(condition, self._facets(condition.where)) for condition in self.conditions
-                           if isinstance(condition, Pressure)]
+        self.loads = Loads(self.body, self.conditions, gravity, self.states["volume_fraction"] * self.point_volumes())
 
-    # ---- the mesh --------------------------------------------------------------------------------------------------
+    # ---- where it is -----------------------------------------------------------------------------------------------
 
-    def nodes_at(self, where):
-        """Local numbers of this rank's nodes, ghosts included, on a part of the boundary."""
-        fdim = self.d - 1
-        return np.asarray(fem.locate_dofs_topological(self.space, fdim, self._facets_at(where)), np.int32)
+    def nodes_at(self, where: Where) -> np.ndarray:
+        """Local numbers of this rank's nodes, ghosts included, on a part of the boundary; collective."""
+        return self.body.nodes_at(where)
 
-    def _facets_at(self, where):
-        fdim = self.d - 1
-        self.mesh.topology.create_connectivity(fdim, self.d)
-        if callable(where):
-            return dolfinx.mesh.locate_entities_boundary(self.mesh, fdim, where)
-        if self._facet_tags is None:
-            raise ValueError(f"a condition's where is {where!r}, but the problem was given no facet_tags")
-        return np.unique(self._facet_tags.indices[np.isin(self._facet_tags.values, where)])
-
-    def _facets(self, where):
-        """(cells, local facets) on a part of the boundary, of this rank's own cells."""
-        self.mesh.topology.create_connectivity(self.d - 1, self.d)
-        self.mesh.topology.create_connectivity(self.d, self.d - 1)
-        to_cell = self.mesh.topology.connectivity(self.d - 1, self.d)
-        to_facet = self.mesh.topology.connectivity(self.d, self.d - 1)
-        pairs = [(to_cell.links(facet)[0], facet) for facet in self._facets_at(where)]
-        pairs = [(cell, np.flatnonzero(to_facet.links(cell) == facet)[0]) for cell, facet in pairs if cell < self.cells]
-        return np.array(pairs, np.int32).reshape(-1, 2)
-
-    def point_positions(self, at_start=False):
+    def point_positions(self, at_start: bool = False) -> np.ndarray:
         """Positions (points, d) of the integration points now, or where they were at the start."""
-        x = self._at_cells(self.positions if at_start else self.positions + self.displacement)
-        return np.einsum("qa,cai->cqi", self._element.values, x).reshape(-1, self.d)
+        return self.body.point_positions(self.body.at_cells(self.positions) if at_start else self._cell_positions())
 
-    def point_volumes(self):
+    def point_volumes(self) -> np.ndarray:
         """Volumes (points) of the integration points now (areas in plane strain)."""
-        x = self._at_cells(self.positions + self.displacement)
-        return self._kinematics(x, np.zeros_like(x))[1].ravel()
+        x = self._cell_positions()
+        return self.body.kinematics(x, np.zeros_like(x))[1].ravel()
 
-    def _at_cells(self, nodal):
-        return nodal[self._nodes]
+    def _cell_positions(self) -> np.ndarray:
+        """Positions (cells, nodes per cell, d) of the cells' nodes now."""
+        return self.body.at_cells(self.positions + self.displacement)
 
-    # ---- loads -----------------------------------------------------------------------------------------------------
+    def snapshot(self) -> Snapshot:
+        """What the problem has come to, for `restore`."""
+        return Snapshot(**{entry.name: getattr(self, entry.name) for entry in fields(Snapshot)})
 
-    def _dead_loads(self, gravity):
-        """Function of t: nodal forces (cells, nodes per cell, d) that do not follow the body."""
-        weight = np.zeros((self.cells, self._nodes.shape[1], self.d))
-        if gravity is not None:
-            solid = (self.states.volume_fraction * self.point_volumes()).reshape(self.cells, -1)
-            weight += np.einsum("cq,qa,i->cai", solid, self._element.values, np.asarray(gravity, float))
-        tractions = []
-        x = self._at_cells(self.positions)
-        for condition in self.conditions:
-            if isinstance(condition, Traction):
-                areas = np.zeros(weight.shape[:2])
-                for cells, (values, slopes, weights) in self._by_facet(self._facets(condition.where)):
-                    area = np.linalg.norm(_normals(np.einsum("psa,cai->cpsi", slopes, x[cells])), axis=-1)
-                    areas[cells] += np.einsum("cp,p,pa->ca", area, weights, values)
-                tractions.append((areas, condition.value))
-        return lambda t: weight + sum(areas[..., None] * np.asarray(value(t) if callable(value) else value, float)
-                                      for areas, value in tractions)
-
-    def _by_facet(self, pairs):
-        """(cells, table) of each local facet, every cell once."""
-        for local, table in enumerate(self._element.facets):
-            cells = pairs[pairs[:, 1] == local, 0]
-            if len(cells):
-                yield cells, table
-
-    def _pressure_loads(self, x, t, stiffness=None):
-        """Nodal forces (cells, nodes per cell, d) of the pressures at positions x; stiffness loses their derivative."""
-        forces = np.zeros_like(x)
-        for condition, pairs in self._pressures:
-            pressure = condition.value(t) if callable(condition.value) else condition.value
-            for cells, (values, slopes, weights) in self._by_facet(pairs):
-                tangents = np.einsum("psa,cai->cpsi", slopes, x[cells])
-                normals = _normals(tangents)
-                facet = np.einsum("qa,cai->ci", values, x[cells]) / len(weights)
-                outward = np.sign(np.einsum("cpi,ci->c", normals, facet - x[cells].mean(axis=1)))
-                factor = -pressure * outward[:, None] * weights
-                forces[cells] += np.einsum("cp,pa,cpi->cai", factor, values, normals, optimize=True)
-                if stiffness is not None:
-                    by_tangent = _normal_slopes(tangents)                          # (c, p, s, i, j)
-                    part = np.einsum("cp,pa,cpsij,psb->caibj", factor, values, by_tangent, slopes, optimize=True)
-                    stiffness[cells] -= part.reshape(len(cells), *stiffness.shape[1:])
-        return forces
+    def restore(self, snapshot: Snapshot) -> None:
+        """Brings the problem to where it, or another problem set up in the same way, was at a snapshot."""
+        for entry in fields(Snapshot):
+            setattr(self, entry.name, getattr(snapshot, entry.name))
 
     # ---- one increment ---------------------------------------------------------------------------------------------
 
-    def solve_increment(self, duration):
+    def solve_increment(self, duration: float) -> Trial:
         """Tries to bring the problem to t + duration.
 
         Returns
         -------
         Trial
-            With an empty `failure` if the increment is solved, for `accept`.
+            For `accept` if its `failure` is empty.
         """
-        t = self.t + duration
-        target = self._numbering.given(t) - self._numbering.to_axes(self.displacement)
-        trial = self._evaluate(self._guess(target, duration), duration, True)
-        if trial.failure:
-            trial = self._evaluate(np.zeros_like(self.displacement), duration, True)
-        residuals = trial.residuals = [trial.residual]
-        if trial.residual <= SURE * self.tolerances.force and self._largest(self._missing(target, trial)) <= ROUND_OFF * self._size:
-            return trial
-        for _ in range(self.tolerances.iterations):
-            if trial.failure:
-                return trial
-            missing = self._missing(target, trial)
-            correction = self._correction(trial, missing, duration)
-            if correction is None:
-                trial.failure = "the linear solver does not converge"
-                return trial
-            settled = self.tolerances.correction * self._largest(trial.u + correction) + ROUND_OFF * self._size
-            last = trial.residual <= self.tolerances.force or self._largest(correction) <= settled
-            trial, part = self._search(trial, correction, missing, duration, not last)
-            residuals.append(trial.residual)
-            trial.residuals = residuals
-            if last and part == 1 and not trial.failure and trial.residual <= self.tolerances.force:
-                return trial
-        trial.failure = (f"Newton's iteration does not converge: relative residual {trial.residual:.1e} "
-                         f"after {self.tolerances.iterations} iterations")
-        return trial
+        residuals: list[float] = []
+        trial = self._newton(duration, residuals)
+        return replace(trial, residuals=tuple(residuals))
 
-    def accept(self, trial):
-        """Takes a solved trial as the new state of the problem."""
+    def accept(self, trial: Trial, t: float | None = None) -> None:
+        """Makes a solved trial the state of the problem.
+
+        Parameters
+        ----------
+        trial : Trial
+        t : float, optional
+            Pseudo-time at its end where trial.t has it with a round-off.
+
+        Raises
+        ------
+        ValueError
+            The trial was not solved.
+        """
         if trial.failure:
             raise ValueError(f"the trial was not solved: {trial.failure}")
-        self._last_duration, trial.tangent = trial.t - self.t, None
-        self.t, self.increments, self.last = trial.t, self.increments + 1, trial
+        self.t, self.increments, self.last = trial.t if t is None else t, self.increments + 1, trial
         self.displacement = self.displacement + trial.u
         self.states = trial.states
         strain = tensors.symmetric(trial.gradients)
         self.shear_strain = self.shear_strain + 2 * tensors.magnitude(tensors.deviator(strain))
         self.volume_strain = self.volume_strain + tensors.trace(strain)
 
-    def _guess(self, target, duration):
-        """The last increment again, scaled as the given displacements are; at a reversal of all of them it is reversed."""
+    def _newton(self, duration: float, residuals: list[float]) -> Trial:
+        """Newton's method with a line search; appends the residual of the first guess and of every iteration to residuals."""
+        target = self.numbering.prescribed(self.t + duration) - self.numbering.to_axes(self.displacement)
+        round_off = DISPLACEMENT_ROUND_OFF * self.body.size
+        trial, tangent = self.evaluate(self._predictor(target, duration), duration, with_tangent=True)
+        if trial.failure:
+            trial, tangent = self.evaluate(np.zeros_like(self.displacement), duration, with_tangent=True)
+        residuals.append(trial.residual)
+        if (trial.residual <= PREDICTOR_TOLERANCE * self.tolerances.force
+                and self.body.largest(self._prescribed_correction(target, trial)) <= round_off):
+            return trial
+        for _ in range(self.tolerances.iterations):
+            if trial.failure:
+                return trial
+            prescribed = self._prescribed_correction(target, trial)
+            stiffness = self.stiffness(trial, tangent)
+            tangent = None                                       # its memory is needed by the linear solver
+            correction = self._correction(trial, stiffness, prescribed)
+            if correction is None:
+                return replace(trial, failure="the linear solver does not converge")
+            small = self.tolerances.correction * self.body.largest(trial.u + correction) + round_off
+            expect_last = trial.residual <= self.tolerances.force or self.body.largest(correction) <= small
+            trial, tangent, step = self._line_search(trial, correction, prescribed, with_tangent=not expect_last)
+            residuals.append(trial.residual)
+            if expect_last and step == 1 and not trial.failure and trial.residual <= self.tolerances.force:
+                return trial
+        return replace(trial, failure=f"Newton's iteration does not converge: relative residual {trial.residual:.1e} "
+                                      f"after {self.tolerances.iterations} iterations")
+
+    def _predictor(self, target: np.ndarray, duration: float) -> np.ndarray:
+        """First guess (nodes, d): the last increment, scaled as the prescribed displacements are by least squares.
+
+        The factor is negative where all of them reverse. Without prescribed displacements it is the ratio of the durations.
+        """
         if self.last is None:
             return np.zeros_like(self.displacement)
-        before = np.where(self._given, self._numbering.to_axes(self.last.u), 0)
-        owned = self.space.dofmap.index_map.size_local
+        before = np.where(self.numbering.is_prescribed, self.numbering.to_axes(self.last.u), 0)
+        owned = self.body.owned_nodes
         product, square = self.comm.allreduce(np.array([(target * before)[:owned].sum(), (before**2)[:owned].sum()]))
-        return self.last.u * (product / square if square > 0 else duration / self._last_duration)
+        return self.last.u * (product / square if square > 0 else duration / self.last.duration)
 
-    def _missing(self, target, trial):
-        """What the trial's displacements (nodes, d) along the nodes' axes lack of the given ones."""
-        return np.where(self._given, target - self._numbering.to_axes(trial.u), 0)
+    def _prescribed_correction(self, target: np.ndarray, trial: Trial) -> np.ndarray:
+        """What a trial's displacements lack of the prescribed ones (nodes, d), along the nodes' axes, 0 where free."""
+        return np.where(self.numbering.is_prescribed, target - self.numbering.to_axes(trial.u), 0)
 
-    def _kinematics(self, x, u):
-        return core.element_gradients(self._mean, self._element.gradients, self._element.weights, x, u)
+    def _correction(self, trial: Trial, stiffness: np.ndarray, prescribed: np.ndarray) -> np.ndarray | None:
+        """Newton's correction (nodes, d) along x y (z), with its prescribed part; None if the linear solver fails."""
+        forces = self.numbering.forces_to_axes(trial.forces)
+        if prescribed.any():
+            forces = forces + np.einsum("crk,ck->cr", stiffness, self.body.at_cells(prescribed).reshape(self.cells, -1))
+        solution = self.system.solve(-forces)
+        return None if solution is None else self.numbering.from_axes(solution + prescribed)
 
-    def _evaluate(self, u, duration, with_tangent=False):
-        """The trial of displacements u (nodes, d): states, forces, residual, the tangent if a correction is expected to need it
-        (together they cost less than one after the other); or why it cannot be."""
-        trial = Trial(self.t + duration, u)
-        x, du = self._at_cells(self.positions + self.displacement), self._at_cells(u)
-        gradients, trial.volumes, status = self._kinematics(x, du)
-        failed = []
+    def _line_search(self, trial: Trial, correction: np.ndarray, prescribed: np.ndarray,
+                     with_tangent: bool) -> tuple[Trial, np.ndarray | None, float]:
+        """The longest of the steps 1, 1/2, ... of a correction that decreases the residual, or the best of them.
+
+        While prescribed displacements change, any step that can be evaluated will do: the residual before belongs to other ones.
+
+        Returns
+        -------
+        trial : Trial
+        tangent : array or None
+            The material's, if it was asked for and the full step is taken.
+        step : float
+        """
+        residuals_compare = self.body.largest(prescribed) <= DISPLACEMENT_ROUND_OFF * self.body.largest(correction)
+        step, best = 1.0, None
+        while step >= SHORTEST_STEP:
+            candidate, tangent = self.evaluate(trial.u + step * correction, trial.duration, with_tangent and step == 1)
+            if not candidate.failure and (not residuals_compare
+                                          or candidate.residual <= (1 - SUFFICIENT_DECREASE * step) * trial.residual
+                                          or candidate.residual <= self.tolerances.force):
+                return candidate, tangent, step
+            if best is None or candidate.residual < best[0].residual:
+                best = candidate, tangent, step
+            step /= 2
+        assert best is not None
+        return best
+
+    # ---- residual and stiffness of given displacements -------------------------------------------------------------
+
+    def evaluate(self, u: np.ndarray, duration: float, with_tangent: bool = False) -> tuple[Trial, np.ndarray | None]:
+        """States, forces and residual of displacements in an increment.
+
+        Parameters
+        ----------
+        u : array (nodes, d)
+        duration : float
+            Of the increment, in pseudo-time.
+        with_tangent : bool
+            Whether the material's tangent is wanted too: state and tangent together cost less than one after the other.
+
+        Returns
+        -------
+        trial : Trial
+            With a failure, the same on all ranks, if the displacements cannot be evaluated on one of them.
+        tangent : array (points, 6, 9), or (points, 4, 4) in plane strain, or None
+            d stress / d (strain, spin) of the increment, without the rate term; for `stiffness`.
+        """
+        t = self.t + duration
+        x, du = self._cell_positions(), self.body.at_cells(u)
+        gradients, volumes, status = self.body.kinematics(x, du)
+        gradients = gradients.reshape(-1, 3, 3)
         if status.any():
             first = int(np.flatnonzero(status)[0])
-            failed = [f"{ELEMENT_FAILURES[status[first]]} in the cell at {in_words(x[first].mean(axis=0))}"]
-        trial.gradients = gradients.reshape(-1, 3, 3)
-        if not failed:
-            try:
-                if with_tangent:
-                    trial.states, trial.tangent = self._update_with_tangent(trial.gradients)
-                else:
-                    trial.states = self.material.update(self.states, trial.gradients)
-            except MaterialError as error:
-                trial.states = error.states
-                first = int(np.flatnonzero(error.status)[0])
-                failed = [f"{status_message(error.status[first])} at {in_words(self.point_positions()[first])}"]
-        failures = [reason for part in self.comm.allgather(failed) for reason in part]
+            failures = [f"{ELEMENT_FAILURES[status[first]]} in the cell at {format_position(x[first].mean(axis=0))}"]
+        else:
+            states, tangent, failures = self._update(gradients, with_tangent)
+        failures = [failure for of_rank in self.comm.allgather(failures) for failure in of_rank]
         if failures:
-            trial.failure = failures[0]
-            return trial
-        trial.stress = self._stress(trial.states.stress, trial.gradients, duration).reshape(*trial.volumes.shape, 6)
-        inside = core.element_forces(self._mean, self._element.gradients, x + du, trial.volumes, trial.stress)
-        trial.forces = inside - self._loads(trial.t) - self._pressure_loads(x + du, trial.t)
-        scale = np.sqrt(self.comm.allreduce((inside**2).sum()))
-        trial.residual = self.system.norm(self._forces_along_axes(trial.forces)) / max(scale, REST * self._size**(self.d - 1))
-        return trial
+            return Trial(t, duration, u, failure=failures[0]), None
+        stress = self._stress(states["stress"], gradients, duration).reshape(*volumes.shape, 6)
+        internal = self.body.internal_forces(x + du, volumes, stress)
+        forces = internal - self.loads.dead(t) - self.loads.pressures(x + du, t)
+        scale = max(np.sqrt(self.comm.allreduce((internal**2).sum())), STRESS_FLOOR * self.body.size**(self.d - 1))
+        residual = self.system.norm(self.numbering.forces_to_axes(forces)) / scale
+        return Trial(t, duration, u, states, gradients, volumes, stress, forces, residual), tangent
 
-    def _stress(self, stress, gradients, duration):
-        """The material's stress and that of the rate term."""
+    def stiffness(self, trial: Trial, tangent: np.ndarray | None = None) -> np.ndarray:
+        """Derivatives of a trial's forces by its displacements, along the nodes' axes.
+
+        Parameters
+        ----------
+        trial : Trial
+        tangent : array, optional
+            The one that `evaluate` gave with the trial; it is overwritten. Without it the material is evaluated once more.
+
+        Returns
+        -------
+        array (cells, n, n)
+            n = nodes per cell times d; the system's own array, which the next call overwrites.
+        """
+        if tangent is None:
+            tangent = self._update_with_tangent(trial.gradients)[1]
+        self._complete_tangent(tangent, trial)
+        x = self.body.at_cells(self.positions + self.displacement + trial.u)
+        points = trial.volumes.shape
+        stiffness = self.system.cell_matrices
+        self.body.internal_stiffness(x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
+                                     tangent.reshape(*points, 2 * self.d, -1), stiffness)
+        self.loads.pressures(x, trial.t, stiffness)
+        self.numbering.rotate_stiffness(stiffness)
+        return stiffness
+
+    def _update(self, gradients: np.ndarray, with_tangent: bool) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
+        """The states after an increment, their tangent if it is wanted, and what has failed."""
+        try:
+            if with_tangent:
+                return *self._update_with_tangent(gradients), []
+            return self.material.update(self.states, gradients), None, []
+        except MaterialError as error:
+            first = int(np.flatnonzero(error.status)[0])
+            place = format_position(self.point_positions()[first])
+            return error.states, None, [f"{status_message(error.status[first])} at {place}"]
+
+    def _update_with_tangent(self, gradients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The states and the material's tangent by (strain, spin), (points, 6, 9), or (points, 4, 4) in plane strain."""
+        return self.material.update_with_tangent(self.states, gradients, spin=True, plane=self.d == 2)
+
+    def _stress(self, stress: np.ndarray, gradients: np.ndarray, duration: float) -> np.ndarray:
+        """The material's stress (points, 6) and that of the rate term."""
         if self.rate_term == 0:
             return np.ascontiguousarray(stress)
         shear = tensors.deviator(tensors.symmetric(gradients))
         return stress - self.rate_term / duration * tensors.trace(stress)[:, None] / 3 * shear
 
-    def _update_with_tangent(self, gradients):
-        """The states and the material's tangent by (strain, spin), (points, 6, 9), or (points, 4, 4) in plane strain."""
-        return self.material.update_with_tangent(self.states, gradients, spin=True, plane=self.d == 2)
-
-    def _tangent(self, trial, duration):
-        """d stress / d (strain, spin), which the trial then no longer has."""
-        tangent = self._update_with_tangent(trial.gradients)[1] if trial.tangent is None else trial.tangent
-        trial.tangent = None
-        strain = np.eye(6, 9) * [1, 1, 1, 0.5, 0.5, 0.5, 0, 0, 0]
+    def _complete_tangent(self, tangent: np.ndarray, trial: Trial) -> None:
+        """Adds the stiffness of points without pressure and the derivative of the rate term to the material's tangent."""
+        identity = np.eye(6, 9) * [1, 1, 1, 0.5, 0.5, 0.5, 0, 0, 0]           # d strain / d (engineering strain, spin)
         if self.d == 2:
-            strain = strain[:4, [0, 1, 3, 6]]
-        loose = tensors.trace(trial.states.stress) > -LOOSE
-        tangent[loose] += LOOSE * strain
+            identity = identity[:4, [0, 1, 3, 6]]                             # xx yy zz xy by xx yy xy and the spin in the plane
+        unjammed = tensors.trace(trial.states["stress"]) > -UNJAMMED_STIFFNESS
+        tangent[unjammed] += UNJAMMED_STIFFNESS * identity
         if self.rate_term > 0:
-            factor = self.rate_term / duration
-            pressure = -tensors.trace(trial.states.stress) / 3
+            factor = self.rate_term / trial.duration
+            pressure = -tensors.trace(trial.states["stress"]) / 3
             shear = tensors.deviator(tensors.symmetric(trial.gradients))
-            slope = -tangent[:, :3].sum(axis=1) / 3
-            rows = len(strain)
-            by_strain = strain - np.outer(tensors.IDENTITY[:rows], strain[:3].sum(axis=0)) / 3
-            tangent += factor * pressure[:, None, None] * by_strain
-            tangent += factor * shear[:, :rows, None] * slope[:, None, :]
-        return tangent
-
-    def _stiffness(self, trial, duration):
-        """Element matrices (cells, n, n) along the nodes' axes, in the system's array."""
-        x = self._at_cells(self.positions + self.displacement + trial.u)
-        points = trial.volumes.shape
-        stiffness = self.system.matrices
-        core.element_stiffness(
-            self._mean, self._element.gradients, x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
-            self._tangent(trial, duration).reshape(*points, 2 * self.d, -1), stiffness)
-        self._pressure_loads(x, trial.t, stiffness)
-        turned = self._turned_cells
-        if len(turned):
-            axes = self._numbering.axes[self._nodes[turned]]
-            blocks = stiffness[turned].reshape(len(turned), -1, self.d, axes.shape[1], self.d)
-            blocks = np.einsum("caik,caibj,cbjl->cakbl", axes, blocks, axes, optimize=True)
-            stiffness[turned] = blocks.reshape(len(turned), *stiffness.shape[1:])
-        return stiffness
-
-    def _forces_along_axes(self, forces):
-        turned = self._turned_cells
-        if len(turned):
-            forces = forces.copy()
-            forces[turned] = np.einsum("caij,cai->caj", self._numbering.axes[self._nodes[turned]], forces[turned])
-        return forces.reshape(self.cells, -1)
-
-    def _correction(self, trial, missing, duration):
-        """Newton's correction (nodes, d) along x y (z); the given components make up for what is missing."""
-        stiffness = self._stiffness(trial, duration)
-        forces = self._forces_along_axes(trial.forces)
-        if missing.any():
-            forces = forces + np.einsum("crk,ck->cr", stiffness, missing[self._nodes].reshape(self.cells, -1))
-        solution = self.system.solve(-forces)
-        return None if solution is None else self._numbering.from_axes(solution + missing)
-
-    def _search(self, trial, correction, missing, duration, with_tangent):
-        """The whole correction or, where it fails or does not lower the residual, a part of it; the tangent with the whole one."""
-        comparable = self._largest(missing) <= ROUND_OFF * self._largest(correction)
-        part, best = 1.0, None
-        while part >= LARGEST_CUT:
-            candidate = self._evaluate(trial.u + part * correction, duration, with_tangent and part == 1)
-            if not candidate.failure and (not comparable or candidate.residual <= (1 - SUFFICIENT * part) * trial.residual
-                                          or candidate.residual <= self.tolerances.force):
-                return candidate, part
-            if best is None or candidate.residual < best[0].residual:
-                best = candidate, part
-            part /= 2
-        return best
-
-    def _largest(self, nodal):
-        return self.comm.allreduce(np.abs(nodal).max(initial=0.0), MPI.MAX)
+            pressure_derivative = -tangent[:, :3].sum(axis=1) / 3
+            rows = len(identity)
+            deviator = identity - np.outer(tensors.IDENTITY[:rows], identity[:3].sum(axis=0)) / 3
+            tangent += factor * pressure[:, None, None] * deviator
+            tangent += factor * shear[:, :rows, None] * pressure_derivative[:, None, :]
 
     # ---- what acts on it -------------------------------------------------------------------------------------------
 
-    def reaction(self, where, center=None):
-        """Force (d) that holds a part of the boundary, beyond the loads given on it, and its moment about a center.
+    def reaction(self, where: Where, center: Sequence[float] | None = None) -> tuple[np.ndarray, Any]:
+        """Force (d) that holds a part of the boundary, beyond the loads given on it, and its moment about a center; collective.
 
         In plane strain per length along z; the moment is a number there, a vector (3) in three dimensions. Where parts meet,
         the force on a common node counts for each of them.
+
+        Parameters
+        ----------
+        where : function or tags
+        center : sequence (d), optional
+            The origin if not given.
+
+        Raises
+        ------
+        ValueError
+            No increment has been accepted yet.
         """
         if self.last is None:
             raise ValueError("there is no reaction before the first increment")
         held = np.zeros(len(self.positions), bool)
         held[self.nodes_at(where)] = True
-        chosen = held[self._nodes]
+        chosen = self.body.at_cells(held)
         forces = self.last.forces[chosen]
-        x = self._at_cells(self.positions + self.displacement)[chosen] - (0 if center is None else np.asarray(center, float))
+        x = self._cell_positions()[chosen] - (0 if center is None else np.asarray(center, float))
         moments = x[:, 0] * forces[:, 1] - x[:, 1] * forces[:, 0] if self.d == 2 else np.cross(x, forces)
         return self.comm.allreduce(forces.sum(axis=0)), self.comm.allreduce(moments.sum(axis=0))
 
 
-def _normals(tangents):
-    """Normals times area (..., d) of facets' tangents (..., d - 1, d)."""
-    if tangents.shape[-1] == 2:
-        return np.stack([tangents[..., 0, 1], -tangents[..., 0, 0]], axis=-1)
-    return np.cross(tangents[..., 0, :], tangents[..., 1, :])
-
-
-def _normal_slopes(tangents):
-    """Derivatives (..., d - 1, d, d) of the normals' components by those of each tangent."""
-    d = tangents.shape[-1]
-    unit = np.eye(d)
-    slopes = np.zeros((*tangents.shape, d))
-    for j in range(d):
-        for s in range(d - 1):
-            if d == 2:
-                slopes[..., s, :, j] = [unit[j, 1], -unit[j, 0]]
-            elif s == 0:
-                slopes[..., s, :, j] = np.cross(unit[j], tangents[..., 1, :])
-            else:
-                slopes[..., s, :, j] = np.cross(tangents[..., 0, :], unit[j])
-    return slopes
+def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[object], degree: object, gravity: Any,
+            rate_term: object) -> list[str]:
+    """What is wrong with the arguments of Problem."""
+    d = mesh.geometry.dim
+    faults = []
+    if d not in (2, 3) or mesh.topology.dim != d:
+        faults.append(f"the mesh has cells of dimension {mesh.topology.dim} in {d} dimensions: must be 2 in 2 or 3 in 3")
+    if degree not in (1, 2):
+        faults.append(f"degree = {degree!r}: must be 1 or 2")
+    if not is_number(rate_term) or not 0 <= rate_term < np.inf:
+        faults.append(f"rate_term = {rate_term!r}: must be a finite number, at least 0")
+    if gravity is not None and (np.shape(gravity) != (d,) or not np.isfinite(gravity).all()):
+        faults.append(f"gravity = {gravity!r}: must be {d} finite numbers")
+    if material.method != "exact":
+        faults.append(f"the material's method is {material.method!r}: must be 'exact', whose tangent this is")
+    kinds = (Displacement, Tied, Periodic, Pressure, Traction)
+    return faults + [f"condition {number}: {condition!r} is none of {', '.join(kind.__name__ for kind in kinds)}"
+                     for number, condition in enumerate(conditions) if not isinstance(condition, kinds)]

@@ -4,19 +4,36 @@ import numpy as np
 
 from .. import tensors
 from ..core import STATE
+from ..material import Material
 
 PHI = 0.60
 BATCH_SHEAR = 0.01                # largest shear strain of an increment
 
 
-def random_batch(material, n, shear=BATCH_SHEAR, seed=0):
-    """States (n,) near steady shear and displacement gradients (n, 3, 3) in random directions with spin."""
+def random_batch(material: Material, n: int, shear: float = BATCH_SHEAR, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Draw points near steady shear and increments in random directions.
+
+    Parameters
+    ----------
+    material : Material
+    n : int
+        Number of points.
+    shear : float
+        Largest shear strain, 2 abs(D), of an increment.
+    seed : int
+        Of the random numbers.
+
+    Returns
+    -------
+    states : array (n,) of dtype STATE
+    gradient : array (n, 3, 3)
+        Displacement gradients with spin and a little volume strain.
+    """
     rng = np.random.default_rng(seed)
     states = np.full(n, material.steady(PHI), STATE)
     states["fabric"] *= rng.uniform(0.3, 1, n)[:, None]
     states["coordination_number"] += rng.uniform(-0.3, 0.3, n)
     gradient = rng.normal(size=(n, 3, 3))
     gradient -= np.trace(gradient, axis1=1, axis2=2)[:, None, None] * np.eye(3) * 0.3
-    strain = tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2)
-    gradient *= (shear / 2 * rng.random(n) / tensors.magnitude(strain))[:, None, None]
+    gradient *= (shear / 2 * rng.random(n) / tensors.magnitude(tensors.symmetric(gradient)))[:, None, None]
     return states, gradient

@@ -1,8 +1,8 @@
-"""Prints and draws what a Newton iteration costs: who takes the time, beside plain linear elasticity, on two ranks, and how time
-and memory grow with the problem.
+"""What a Newton iteration of a finite-element problem costs.
 
-Every measurement is a process of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its
-peak, time the processor's.
+Printed and drawn are the shares of material, coupling, assembly and linear solution, the ratio to an iteration of linear elasticity
+in UFL, the ratio of two ranks to one, and the growth of time and memory with the number of unknowns. Every measurement is a process
+of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its peak, time the processor's.
 """
 
 import contextlib
@@ -13,7 +13,9 @@ import statistics
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import ufl
@@ -40,62 +42,69 @@ PAIRS = 3                              # of runs on one and on two ranks
 PHASES = ("material", "coupling", "assembly", "solution")
 
 
-def shear_cell(comm, n, **options):
-    """A cube of n**3 hexahedra in simple shear at constant volume, periodic sides, on its way to a steady state, a volume fraction
-    that varies in space."""
+def shear_cell(comm: MPI.Comm, n: int, **options: Any) -> Problem:
+    """A cube of n**3 hexahedra with periodic sides in simple shear at constant volume.
+
+    Fabric and shear stress are 0.3 of those of the steady state, and the volume fraction varies in space. Options are further
+    arguments of Problem.
+    """
     material = Material(0.5, elastic_strain=1e-2)
 
-    def state(x):
+    def state(x: np.ndarray) -> np.ndarray:
         states = np.full(len(x), material.steady(0.60), STATE)
         states["fabric"] *= 0.3
         states["stress"][:, 3:] *= 0.3
         states["volume_fraction"] += 0.005 * np.cos(2 * np.pi * x).prod(axis=1)
         return states
 
-    def side(axis, end):
+    def side(axis: int, end: float) -> Callable[[np.ndarray], np.ndarray]:
         return lambda x: np.isclose(x[axis], end)
 
-    conditions = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0]))]
-    conditions += [Periodic(side(axis, 1), lambda x, axis=axis: x - np.eye(3)[axis]) for axis in range(2)]
+    conditions = [Displacement(side(2, 0)), Displacement(side(2, 1), lambda x, t: np.array([SHEAR * t, 0, 0])),
+                  Periodic(side(0, 1), lambda x: x - [1, 0, 0]), Periodic(side(1, 1), lambda x: x - [0, 1, 0])]
     return Problem(box(comm, (1, 1, 1), (n, n, n)), material, state, conditions, **options)
 
 
 @contextlib.contextmanager
-def _phases(problem):
-    """Seconds of each phase, filled as the problem runs; coupling is what is not material, assembly or solution."""
+def _phases(problem: Problem) -> Iterator[dict[str, float]]:
+    """Seconds of each of PHASES, complete at the end of the block; coupling is what is not material, assembly or solution."""
     seconds = dict.fromkeys(PHASES, 0.0)
-    watched = []
+    replaced = []
 
-    def time_it(owner, name, phase):
+    def time_calls(owner: object, name: str, phase: str) -> None:
         action = getattr(owner, name)
 
-        def timed(*arguments, **options):
+        def timed(*arguments: Any, **options: Any) -> Any:
             start = time.process_time()
             try:
                 return action(*arguments, **options)
             finally:
                 seconds[phase] += time.process_time() - start
         setattr(owner, name, timed)
-        watched.append((owner, name, action))
+        replaced.append((owner, name, action))
 
-    time_it(problem.material, "update", "material")
-    time_it(problem.material, "update_with_tangent", "material")
-    time_it(core, "element_stiffness", "assembly")
-    time_it(problem.system, "assemble", "assembly")
-    time_it(problem.system, "solve_assembled", "solution")
+    time_calls(problem.material, "update", "material")
+    time_calls(problem.material, "update_with_tangent", "material")
+    time_calls(core, "element_stiffness", "assembly")
+    time_calls(problem.system, "assemble", "assembly")
+    time_calls(problem.system, "solve_assembled", "solution")
     start = time.process_time()
     yield seconds
     seconds["coupling"] = time.process_time() - start - sum(seconds.values())
-    for owner, name, action in watched:
+    for owner, name, action in replaced:
         setattr(owner, name, action)
 
 
-def measure(n, comm=MPI.COMM_WORLD):
-    """What the shear cell costs: unknowns, Newton and Krylov iterations, processor seconds of a Newton iteration, bytes an unknown.
+def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> dict[str, float]:
+    """What the shear cell of n**3 cells costs; the same on all ranks.
 
-    Seconds and bytes are those of the rank that has most.
+    Returns
+    -------
+    dict
+        unknowns; newton, the iterations of all INCREMENTS; krylov, the iterations of each of these; the processor's seconds of a
+        Newton iteration, of each of PHASES and in all ("iteration"), on the slowest rank; bytes per unknown.
     """
-    problem = shear_cell(comm, 2)                                  # everything that is imported or made once
+    problem = shear_cell(comm, 2)                                  # what is imported or compiled once does not count
     problem.accept(problem.solve_increment(1.0))
     start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     problem = shear_cell(comm, n)
@@ -115,13 +124,13 @@ def measure(n, comm=MPI.COMM_WORLD):
                     "bytes": comm.allreduce(bytes_used) / problem.system.size}
 
 
-def measure_elasticity(n, krylov, matrix_type):
-    """Processor seconds of an iteration of linear elasticity in plain UFL: residual, matrix, so many Krylov iterations."""
+def measure_elasticity(n: int, krylov: int, matrix_type: str) -> float:
+    """The processor's seconds of residual, matrix and so many Krylov iterations of linear elasticity in UFL on the same mesh."""
     problem = shear_cell(MPI.COMM_WORLD, n)
     space = problem.space
     u, v, w = fem.Function(space), ufl.TestFunction(space), ufl.TrialFunction(space)
 
-    def stress(displacement):
+    def stress(displacement: Any) -> Any:
         strain = ufl.sym(ufl.grad(displacement))
         return ufl.tr(strain) * ufl.Identity(3) + 2 * strain
 
@@ -137,7 +146,7 @@ def measure_elasticity(n, krylov, matrix_type):
         start = time.process_time()
         residual = petsc.assemble_vector(right)
         matrix.zeroEntries()
-        petsc.assemble_matrix(matrix, left, [held])
+        petsc.assemble_matrix(matrix, left, [held])                # type: ignore[arg-type]  # dispatched by type
         matrix.assemble()
         petsc.set_bc(residual, [held])
         solver.setOperators(matrix)
@@ -147,8 +156,8 @@ def measure_elasticity(n, krylov, matrix_type):
     return statistics.median(seconds)
 
 
-def _run(arguments, ranks=1):
-    """What a process of its own, or several, measured."""
+def _run(arguments: Sequence[object], ranks: int = 1) -> Any:
+    """What this module measures with command-line arguments, in a process of its own on each rank."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
                                 "OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     command = [sys.executable, "-m", "granumat.studies.bench_fem", *map(str, arguments)]
@@ -159,8 +168,8 @@ def _run(arguments, ranks=1):
     return json.loads(result.stdout.splitlines()[-1])
 
 
-def print_fem(directory, n=CELLS, sizes=SIZES):
-    """Prints the ratios and draws them into directory/fem-cost.png."""
+def print_fem(directory: str | Path, n: int = CELLS, sizes: Sequence[int] = SIZES) -> None:
+    """Prints the measurements and draws them into fem-cost.png in a directory, with n and with sizes cells a side."""
     one = _run([n])
     print(f"shear cell of {n**3} hexahedra, {one['unknowns']} unknowns: {one['newton'] / INCREMENTS:.1f} Newton iterations an "
           f"increment, {one['krylov']} Krylov iterations each, {one['iteration']:.2f} s of one processor a Newton iteration:")
@@ -172,7 +181,7 @@ def print_fem(directory, n=CELLS, sizes=SIZES):
               "iterations")
     pairs = [(_run([n], ranks=2), _run([n])) for _ in range(PAIRS)]
     ratios = {name: statistics.median(two[name] / one[name] for two, one in pairs) for name in ("iteration", *PHASES)}
-    busy = os.getloadavg()[0] / os.cpu_count()
+    busy = os.getloadavg()[0] / (os.cpu_count() or 1)
     print(f"  2 ranks take {ratios.pop('iteration'):.2f} of the time of 1 (median of {PAIRS}; {busy:.1f} processes a processor "
           "meanwhile): " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
     print(f"{'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12}")
@@ -182,14 +191,14 @@ def print_fem(directory, n=CELLS, sizes=SIZES):
         growth.append(row)
         print(f"{row['unknowns']:>10} {row['newton'] / INCREMENTS:>8.1f} {row['krylov']:>8} "
               f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f}", flush=True)
-    path = Path(directory) / "fem-cost.png"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draw(one, elasticity, growth).savefig(path, dpi=110)
-    print(f"wrote {path}")
+    file = Path(directory) / "fem-cost.png"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    draw(one, elasticity, growth).savefig(file, dpi=110)
+    print(f"wrote {file}")
 
 
-def draw(one, elasticity, growth):
-    """The shares beside linear elasticity, and the growth."""
+def draw(one: dict[str, float], elasticity: dict[str, float], growth: list[dict[str, float]]) -> Figure:
+    """The phases beside linear elasticity, by matrix type, and time and memory against the number of unknowns."""
     figure = Figure(figsize=(11, 3.8), layout="constrained")
     bars, times, memory = figure.subplots(1, 3)
     bottom = 0.0

@@ -1,12 +1,14 @@
 """The model's curves of the paper's figures, with this project's discrete-element (DEM) data where the conditions match.
 
-What is drawn is always a dict of columns, named as in granumat.driver and completed by `_derived`, the DEM's too.
+Whatever is drawn, of the model or of the DEM, is a dict of columns with the names of a history and those that `_derived` adds.
 """
 
 import re
+from collections.abc import Callable, Iterable, Sequence
 from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,8 +24,8 @@ from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 MU_COLOURS = {0.0: PURPLE, 0.1: GREEN, 0.3: ORANGE, 0.5: BLUE, 1.0: RED}
 STRESSES = {"normal": ("xx", "yy", "zz"), "normal, two": ("13", "yy"), "shear": ("xz", "xy", "yz")}      # of a panel
 DEM = "DEM (this project's runs, 2000 spheres, one realisation each)"
-POINTS = {"linestyle": "none", "marker": "o", "markersize": 4.5, "markerfacecolor": "none", "markeredgewidth": 0.9}
-DOTS = POINTS | {"markersize": 2.2, "markeredgewidth": 0.5, "markevery": 4}        # of the rows of a run
+POINTS: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4.5, "markerfacecolor": "none", "markeredgewidth": 0.9}
+DOTS = POINTS | {"markersize": 2.2, "markeredgewidth": 0.5, "markevery": 4}        # for the rows of a run
 
 LABELS = {
     "mu": r"interparticle friction coefficient $\mu$", "strain": r"accumulated shear strain $\dot\gamma_0 t$",
@@ -39,8 +41,11 @@ LABELS = {
 
 # ---- columns ---------------------------------------------------------------------------------------------------------
 
-def _derived(columns, material):
-    """The columns with those only figures need: distances from jamming, stresses scaled by the pressure."""
+Columns = dict[str, np.ndarray]
+
+
+def _derived(columns: Columns, material: Material) -> Columns:
+    """The columns, and those that only figures need: distances from jamming, stresses over the pressure."""
     scaled = {f"sigma_{axis}/p": columns[f"sigma_{axis}"] / columns["p"] for axis in tensors.AXES}
     return columns | scaled | {
         "sigma_13/p": (scaled["sigma_xx/p"] + scaled["sigma_zz/p"]) / 2,
@@ -48,14 +53,14 @@ def _derived(columns, material):
         "(phi-phic)^1/2": np.sqrt(np.maximum(columns["phi"] - material["phic"], 0))}
 
 
-def _history(material, state, *steps):
-    """Columns along a path."""
+def _history(material: Material, state: np.record, *steps: driver.Step) -> Columns:
+    """Columns along a load path."""
     columns = driver.run(material, state, steps).columns
     strain = columns["gamma_total"]
     return _derived(columns | {"strain": strain, "time": strain + (columns["step"] > 1)}, material)    # step 2 pauses
 
 
-def _reversal(material, control="volume"):
+def _reversal(material: Material, control: str = "volume") -> Columns:
     """Columns from the steady state at phi 0.60 through a reversal after a shear strain of 1."""
     return _history(material, material.steady(0.60), driver.shear(1, control), driver.shear(-2, control, increments=400))
 
@@ -63,28 +68,45 @@ def _reversal(material, control="volume"):
 DISTANCES = tuple(np.linspace(0.02, 0.2, 46))
 
 
-def _steady(material, distances=DISTANCES):
-    """Columns of steady simple shear, from (phi - phic)^(1/2)."""
+def _steady(material: Material, distances: Sequence[float] = DISTANCES) -> Columns:
+    """Columns of steady simple shear at given values of (phi - phic)^(1/2)."""
     states = [material.steady(phi) for phi in material["phic"] + np.asarray(distances) ** 2]
     return _derived(driver.state_columns(material, np.array(states, STATE)), material)
 
 
-def _constants(**definition):
+def _constants(**definition: Any) -> Columns:
     """Columns of the constants against mu."""
     materials = [Material(mu, **definition) for mu in np.linspace(0, 1, 101).tolist()]
     return {name: np.array([material[name] for material in materials]) for name in materials[0].constants}
 
 
 class Run(NamedTuple):
-    """A DEM run at constant volume: columns of its slow shear, `strain` 1 at the reversal, and after it; means before it."""
+    """A DEM run of simple shear at constant volume with a reversal, at which the column `strain` is 1."""
 
-    shear: dict
-    after: dict
-    steady: dict
+    shear: Columns                  # all slow shear
+    after: Columns                  # after the reversal
+    steady: dict[str, float]        # means before the reversal
 
 
-def dem_runs(*mus, phi=None):
-    """The DEM runs with one of these mu and, if given, this volume fraction; FileNotFoundError without the package's data."""
+def dem_runs(*mus: float, phi: float | None = None) -> list[Run]:
+    """Read DEM runs of the package.
+
+    Parameters
+    ----------
+    *mus : float
+        Friction coefficients.
+    phi : float, optional
+        Volume fraction; the default is any.
+
+    Returns
+    -------
+    list of Run
+
+    Raises
+    ------
+    FileNotFoundError
+        If the DEM data are not in the package.
+    """
     folder = resources.files("granumat") / "data"
     names = sorted(file.name for file in folder.iterdir()) if folder.is_dir() else []
     matches = [match for match in (re.fullmatch(r"cv_mu([\d.]+)_phi([\d.]+)_s\d+\.csv", name) for name in names) if match]
@@ -94,8 +116,8 @@ def dem_runs(*mus, phi=None):
             if float(match[1]) in mus and phi in (None, float(match[2]))]
 
 
-def _read_run(path, mu):
-    with path.open() as file:
+def _read_run(source: Traversable, mu: float) -> Run:
+    with source.open() as file:
         data = dict(zip(file.readline().strip().split(","), np.loadtxt(file, delimiter=",").T))
     columns = {"phi": data["phi"], "Z2": data["Z2"], "p": (data["pxx"] + data["pyy"] + data["pzz"]) / 3}
     columns["stress_ratio"] = -data["pxz"] / columns["p"]
@@ -103,7 +125,7 @@ def _read_run(path, mu):
         columns |= {f"sigma_{axis}": data[f"p{axis}"], f"A_{axis}": data[f"A{axis}"]}
     gamma, reversal = data["gamma"], data["gamma"].argmax()
     after = np.arange(len(gamma)) > reversal
-    before = (gamma > gamma[reversal] - 1) & (data["gamma_acc"] > 0) & ~after      # gamma_acc < 0: faster shear that warms up
+    before = (gamma > gamma[reversal] - 1) & (data["gamma_acc"] > 0) & ~after      # gamma_acc < 0: faster shear to prepare
     columns["strain"] = 1 + np.abs(gamma - gamma[reversal]) * np.where(after, 1, -1)
     columns["time"] = columns["strain"] + after
     columns = _derived(columns, Material(mu))
@@ -111,8 +133,8 @@ def _read_run(path, mu):
     return Run(shear, later, {"mu": mu} | {name: column.mean() for name, column in earlier.items()})
 
 
-def quadratic_friction(runs):
-    """b1, b2, b3 of (4.6) by least squares over the runs' rows after the reversal, where A:S^ = -2 A_xz, eta = sigma_xz/p."""
+def quadratic_friction(runs: Sequence[Run]) -> dict[str, Any]:
+    """Fit b1, b2, b3 of (4.6) by least squares to the runs' rows after the reversal, where A:S^ = -2 A_xz and eta = sigma_xz/p."""
     x = np.concatenate([-2 * run.after["A_xz"] for run in runs])
     eta = np.concatenate([-run.after["stress_ratio"] for run in runs])
     return dict(zip(("b1", "b2", "b3"), np.polyfit(x, eta, 2)[::-1].tolist()))
@@ -121,20 +143,22 @@ def quadratic_friction(runs):
 # ---- panels ----------------------------------------------------------------------------------------------------------
 
 class Panel(NamedTuple):
-    """Axes and the names of the columns they show."""
+    """Axes and the names of the columns that they show."""
 
     axes: Axes
     x: str
     y: str
 
-    def draw(self, columns, y=None, **style):
+    def draw(self, columns: Any, y: str | None = None, **style: Any) -> None:
+        """Draw the columns, or another one for y."""
         self.axes.plot(columns[self.x], columns[y or self.y], **style)
 
-    def legend(self, place, **options):
+    def legend(self, place: Any, **options: Any) -> None:
+        """Add a legend."""
         self.axes.legend(loc=place, fontsize=7.5, frameon=False, **options)
 
-    def inset(self, bounds, label, limits):
-        """Small axes for a constant against mu."""
+    def inset(self, bounds: tuple[float, float, float, float], label: str, limits: tuple[float, float]) -> Axes:
+        """Add small axes for a constant against mu."""
         axes = self.axes.inset_axes(bounds, xlim=(0, 1), ylim=limits, xticks=(0, 0.5, 1))
         axes.set_xlabel(r"$\mu$", fontsize=8, labelpad=0)
         axes.set_ylabel(label, fontsize=8, labelpad=1)
@@ -142,16 +166,17 @@ class Panel(NamedTuple):
         return axes
 
 
-def _sheet(number, title, notes, names, columns=2, colours=(GREY, GREY)):
-    """A figure with panels of the columns named (x, y); below them a legend, model and DEM in their colours, and notes."""
+def _sheet(number: int, title: str, notes: Sequence[str], names: Sequence[tuple[str, str]], columns: int = 2,
+           colours: Sequence[str] = (GREY, GREY)) -> tuple[Figure, list[Panel]]:
+    """A figure with a panel for each pair (x, y) of columns, and below a legend of model and DEM in their colours, and notes."""
     rows, foot = -(-len(names) // columns), 0.5 + 0.17 * len(notes)                 # inches
     height = 2.7 * rows + 0.4 + foot
     figure = Figure(figsize=(max((4.8 - 0.3 * columns) * columns, 6.4), height))
     figure.set_layout_engine("constrained", rect=(0, foot / height, 1, 1 - foot / height))
     figure.suptitle(f"Figure {number}: {title}", fontsize=11)
     figure.text(0.5, 0.1 / height, "\n".join(notes), fontsize=8, ha="center", va="bottom", linespacing=1.3)
-    handles = [Line2D([], [], color=colour, label=label, **style)
-               for colour, label, style in zip(colours, ("model", DEM), ({}, POINTS))]
+    styles: tuple[dict[str, Any], ...] = ({}, POINTS)
+    handles = [Line2D([], [], color=colour, label=label, **style) for colour, label, style in zip(colours, ("model", DEM), styles)]
     figure.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, (foot - 0.3) / height), ncol=2,
                   fontsize=8, frameon=False, borderaxespad=0)
     panels = []
@@ -164,8 +189,9 @@ def _sheet(number, title, notes, names, columns=2, colours=(GREY, GREY)):
     return figure, panels
 
 
-def _evolution(number, title, notes, first, history, runs=(), x="strain"):
-    """A figure with `first`, stress ratio, coordination number and fabric against strain."""
+def _evolution(number: int, title: str, notes: Sequence[str], first: str, history: Columns, runs: Sequence[Run] = (),
+               x: str = "strain") -> Figure:
+    """A figure of the column `first`, stress ratio, coordination number and fabric against strain."""
     names = [(x, y) for y in (first, "stress_ratio", "Z2", "A_xz")]
     figure, panels = _sheet(number, title, notes, names, colours=(RED, BLUE) if runs else (RED,))
     for panel in panels:
@@ -175,7 +201,7 @@ def _evolution(number, title, notes, first, history, runs=(), x="strain"):
     return figure
 
 
-def _steady_by_friction(panels):
+def _steady_by_friction(panels: Sequence[Panel]) -> None:
     """Steady simple shear, one colour for each mu."""
     for mu, colour in MU_COLOURS.items():
         steady, runs = _steady(Material(mu)), dem_runs(mu)
@@ -186,8 +212,8 @@ def _steady_by_friction(panels):
             panel.legend("upper left")
 
 
-def _stresses(panel, model, runs, points, line="-"):
-    """The stresses of a panel, scaled by the pressure."""
+def _stresses(panel: Panel, model: Columns, runs: Sequence[Any], points: dict[str, Any], line: str = "-") -> None:
+    """The stresses of a panel over the pressure."""
     for axis, colour in zip(STRESSES[panel.y], (BLUE, RED, GREEN)):
         for run in runs:
             panel.draw(run, f"sigma_{axis}/p", color=colour, **points)
@@ -197,11 +223,11 @@ def _stresses(panel, model, runs, points, line="-"):
     panel.legend("center" if panel.y == "shear" else "upper center", ncol=3)
 
 
-def _stress_figure(number, title, notes, closure, *plots):
-    """A figure with one panel for each plot: y, then mu of steady shear against phi, or nothing for a reversal at mu 0.5."""
-    names = [("phi" if mus else "strain", y) for y, *mus in plots]
+def _stress_figure(number: int, title: str, notes: Sequence[str], closure: str, *plots: tuple[str, Sequence[float]]) -> Figure:
+    """A figure with a panel for each (y, mus): steady shear against phi for these mu, or without any the reversal at mu 0.5."""
+    names = [("phi" if mus else "strain", y) for y, mus in plots]
     figure, panels = _sheet(number, title, notes, names, len(plots))
-    for panel, (_, *mus) in zip(panels, plots):
+    for panel, (_, mus) in zip(panels, plots):
         for mu, line in zip(mus, ("-", "--")):
             _stresses(panel, _steady(Material(mu, closure)), [run.steady for run in dem_runs(mu)], POINTS, line)
         if not mus:
@@ -216,7 +242,8 @@ DEM_POINTS = r"DEM: means of steady shear at constant volume, ($\mu$, $\phi$) = 
 REVERSAL = r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, reversal at 1"
 
 
-def figure_01():
+def figure_01() -> Figure:
+    """Unsteady simple shear at constant volume."""
     material = Material(0.5)
     history = _history(material, material.steady(0.60), driver.shear(1), driver.pause(), driver.shear(-2, increments=400))
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear; DEM: two runs",
@@ -224,14 +251,16 @@ def figure_01():
     return _evolution(1, "unsteady simple shear at constant volume", notes, "p", history, dem_runs(0.5, phi=0.60), "time")
 
 
-def figure_02():
+def figure_02() -> Figure:
+    """Shear reversal at constant pressure."""
     history = _reversal(Material(0.5), "pressure")
     notes = (r"$\mu$ = 0.5, closure full, constant pressure, reversal at 1; " + NO_DEM,
              rf"$p\,d/k$ = {history['p'][0]:.4f} is the model's steady pressure at $\phi$ = 0.60")
     return _evolution(2, "shear reversal at constant pressure", notes, "phi", history)
 
 
-def figure_04():
+def figure_04() -> Figure:
+    """Pressure against coordination number."""
     notes = ("closure full; (a) solid, (c), (d): steady simple shear; (a) dashed, (b): isotropic; colours as in (c)", DEM_POINTS)
     figure, panels = _sheet(4, "pressure against coordination number", notes, [("Z2", "p")] * 3 + [("(Z2-Zc)^2", "p")])
     for mu, colour in MU_COLOURS.items():
@@ -248,7 +277,8 @@ def figure_04():
     return figure
 
 
-def figure_05():
+def figure_05() -> Figure:
+    """Constants of the pressure and of the coordination number."""
     notes = (r"the fits of table 1; $a_2$ is +0.1 $\mu$: the minus sign printed in the table is a misprint",)
     figure, panels = _sheet(5, "constants of the pressure and of the coordination number", notes,
                             [("mu", "Zc"), ("mu", "a2"), ("mu", "phic")], 3, (GREY,))
@@ -257,7 +287,8 @@ def figure_05():
     return figure
 
 
-def figure_07():
+def figure_07() -> Figure:
+    """Stress ratio against fabric."""
     runs = dem_runs(0.5, phi=0.60)
     fit = quadratic_friction(runs)
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full; model: reversed twice, DEM: reversed once",
@@ -274,7 +305,8 @@ def figure_07():
     return figure
 
 
-def figure_08():
+def figure_08() -> Figure:
+    """Friction coefficient of steady simple shear."""
     notes = (r"closure full, (4.5); $\eta$ does not depend on $\phi$", DEM_POINTS)
     figure, (friction, constants) = _sheet(8, "friction coefficient of steady simple shear", notes, [("mu", "eta"), ("mu", "b")])
     c = _constants()
@@ -292,7 +324,8 @@ def figure_08():
     return figure
 
 
-def figure_09():
+def figure_09() -> Figure:
+    """Coordination number of steady simple shear."""
     notes = (r"closure full; (b) all five lines coincide, slightly below $7.5\,(\phi-\phi_c)^{1/2}$ because of the spin",
              DEM_POINTS, r"$Z_c$ and $\phi_c$ of the DEM points in (b) and in the inset are the fits of table 1")
     figure, panels = _sheet(9, "coordination number of steady simple shear", notes, [("phi", "Z2"), ("(phi-phic)^1/2", "Z2-Zc")])
@@ -304,7 +337,8 @@ def figure_09():
     return figure
 
 
-def figure_10():
+def figure_10() -> Figure:
+    """Cyclic simple shear at constant pressure."""
     material = Material(0.5)
     history = _history(material, material.steady(0.60), *driver.cycles(0.5, 4, "pressure"))
     notes = (r"$\mu$ = 0.5, closure full, constant pressure, amplitude 0.5, from the steady state at $\phi$ = 0.60; " + NO_DEM,
@@ -312,7 +346,8 @@ def figure_10():
     return _evolution(10, "cyclic simple shear at constant pressure", notes, "phi", history)
 
 
-def figure_11():
+def figure_11() -> Figure:
+    """Reynolds dilatancy."""
     material = Material(0.5)
     start = material.isotropic(0.612, pressure=0.01)
     steady = driver.run(material, start, [driver.shear(40, "pressure", 2000)])["phi"][-1]
@@ -326,25 +361,29 @@ def figure_11():
     return figure
 
 
-def figure_13():
+def figure_13() -> Figure:
+    """Stresses of steady simple shear."""
     notes = (r"$\mu$ = 0.5, closure full: the model's lines do not depend on $\phi$; DEM: constant volume, two runs",)
-    return _stress_figure(13, "stresses of steady simple shear", notes, "full", ("normal", 0.5), ("shear", 0.5))
+    return _stress_figure(13, "stresses of steady simple shear", notes, "full", ("normal", [0.5]), ("shear", [0.5]))
 
 
-def figure_14():
+def figure_14() -> Figure:
+    """Normal stresses without their first difference."""
     notes = (r"closure n2; $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, solid and DEM at $\phi$ = 0.60: "
              r"$\mu$ = 0.5, dashed and DEM at $\phi$ = 0.63: $\mu$ = 0.1", "(b) " + REVERSAL)
     return _stress_figure(14, "normal stresses without their first difference", notes, "n2",
-                          ("normal, two", 0.5, 0.1), ("normal, two",))
+                          ("normal, two", [0.5, 0.1]), ("normal, two", []))
 
 
-def figure_15():
+def figure_15() -> Figure:
+    """Normal stresses with both differences."""
     notes = (r"closure full; (a) steady shear, $\mu$ = 0.5; (b) steady shear, $\mu$ = 0.1; (c) " + REVERSAL,)
     return _stress_figure(15, "normal stresses with both differences", notes, "full",
-                          ("normal", 0.5), ("normal", 0.1), ("normal",))
+                          ("normal", [0.5]), ("normal", [0.1]), ("normal", []))
 
 
-def figure_16():
+def figure_16() -> Figure:
+    """Constants of the normal stress differences."""
     notes = (r"$a_4$ is printed in three forms, each a calibration of its own; table-1 is the default",)
     figure, (third, fourth) = _sheet(16, "constants of the normal stress differences", notes, [("mu", "a3"), ("mu", "a4")],
                                      colours=(GREY,))
@@ -355,17 +394,18 @@ def figure_16():
     return figure
 
 
-FIGURES = {"1": figure_01, "2": figure_02, "4": figure_04, "5": figure_05, "7": figure_07, "8": figure_08, "9": figure_09,
-           "10": figure_10, "11": figure_11, "13": figure_13, "14": figure_14, "15": figure_15, "16": figure_16}
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "1": figure_01, "2": figure_02, "4": figure_04, "5": figure_05, "7": figure_07, "8": figure_08, "9": figure_09, "10": figure_10,
+    "11": figure_11, "13": figure_13, "14": figure_14, "15": figure_15, "16": figure_16}
 
 
-def draw_figures(out, names=None):
-    """Draws figures of the paper as figure-<number>.png.
+def draw_figures(out: str | Path, names: Iterable[str | int] | None = None) -> list[Path]:
+    """Draw figures of the paper as figure-<number>.png.
 
     Parameters
     ----------
     out : path
-        Directory; made if need be.
+        Directory; it is created if it does not exist.
     names : iterable of str or int, optional
         Their numbers, keys of FIGURES; the default is all.
 
@@ -380,11 +420,11 @@ def draw_figures(out, names=None):
     FileNotFoundError
         If the DEM data are not in the package.
     """
-    names = list(FIGURES) if names is None else [str(name) for name in names]
+    chosen = list(FIGURES) if names is None else [str(name) for name in names]
     refuse("the figures cannot be drawn", [f"figure {name!r}: must be one of {', '.join(FIGURES)}"
-                                           for name in names if name not in FIGURES])
+                                           for name in chosen if name not in FIGURES])
     Path(out).mkdir(parents=True, exist_ok=True)
-    paths = [Path(out) / f"figure-{int(name):02d}.png" for name in names]
-    for name, path in zip(names, paths):
-        FIGURES[name]().savefig(path, dpi=130)
-    return paths
+    files = [Path(out) / f"figure-{int(name):02d}.png" for name in chosen]
+    for name, file in zip(chosen, files):
+        FIGURES[name]().savefig(file, dpi=130)
+    return files

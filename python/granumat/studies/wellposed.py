@@ -1,8 +1,9 @@
-"""Where each closure loses ellipticity after a reversal of shear at constant volume: curves, table and picture."""
+"""Where each closure loses ellipticity after a reversal of shear at constant volume: curves, a table and a figure."""
 
 import csv
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -13,7 +14,7 @@ from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
 ELASTIC_STRAINS = (0.0, 0.01)
-CLOSURES = {            # name -> arguments of Material, line
+CLOSURES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {            # name -> arguments of Material, style of the line
     "basic": ({"closure": "basic"}, {"color": RED}),
     "n2": ({"closure": "n2"}, {"color": ORANGE, "linestyle": "--"}),
     "full figure-16": ({"closure": "full", "calibration": "figure-16"}, {"color": PURPLE}),
@@ -21,30 +22,30 @@ CLOSURES = {            # name -> arguments of Material, line
     "full text": ({"closure": "full", "calibration": "text"}, {"color": GREY, "linestyle": "--"}),
     "kinematic": ({"closure": "kinematic"}, {"color": GREEN}),
 }
-DISTANCE = 0.60 - Material(0.5)["phic"]      # phi - phic: phi is 0.60 at mu 0.5, and the pressures are alike
-TURN = 1e-6                                  # shear strain of the first increment: just after the reversal
+DISTANCE = 0.60 - Material(0.5)["phic"]      # phi - phic of all curves: the same for all mu, so that pressures are similar
+FIRST_STRAIN = 1e-6                          # shear strain of the first increment: just after the reversal
 STRAIN, INCREMENTS = 1.0, 500                # shear strain after the reversal
-ROUND_OFF = 1e-10                            # above which a negative value counts
-DEEP = 2e-3                                  # more than three times what steady shear has (e_r = 0), in p, or p/e_r for e_r > 0
+ROUND_OFF = 1e-10                            # size above which a negative value counts as negative
+DEEP = 2e-3                                  # over three times the size in steady shear (e_r = 0); in p, or p/e_r for e_r > 0
 ANGLES = np.linspace(0, np.pi, 361)          # of normals in the plane of shear
 MEASURES = ("eta_t", "eigenvalue", "determinant", "in_plane")
 CURVES = ("gamma", *MEASURES, "n_x", "n_y", "n_z")
 
 
 class Curve(NamedTuple):
-    """What a closure has along the strain after the reversal."""
+    """Measures of ellipticity of a closure against the strain after the reversal."""
 
     mu: float
     closure: str
     elastic_strain: float
-    columns: dict           # CURVES -> array
-    steady: dict            # MEASURES -> number, before the reversal
+    columns: dict[str, np.ndarray]      # CURVES -> array (n,)
+    steady: dict[str, float]            # MEASURES -> value before the reversal
 
-    def loss(self, measure):
-        """Where a measure is negative: LOSS -> number."""
+    def loss(self, measure: str) -> dict[str, float]:
+        """How far and how long a measure is negative, by the names of LOSS."""
         gamma, values = self.columns["gamma"], self.columns[measure]
-        unit = self.elastic_strain if self.elastic_strain and measure == "eigenvalue" else 1.0
-        deep = values * unit < -DEEP
+        scale = self.elastic_strain if self.elastic_strain and measure == "eigenvalue" else 1.0
+        deep = values * scale < -DEEP
         negative = values < -ROUND_OFF
         return {"after_reversal": values[0], "least": values.min(), "steady": self.steady[measure],
                 "first": gamma[negative][0] if negative.any() else np.nan, "duration": _duration(gamma, negative),
@@ -54,8 +55,20 @@ class Curve(NamedTuple):
 LOSS = ("after_reversal", "least", "steady", "first", "duration", "duration_deep")
 
 
-def in_plane(material, states):
-    """The smallest v n:C:v n (n,) in units of p with v and n in the plane of shear x-z, for e_r = 0: what plane strain sees."""
+def in_plane(material: Material, states: np.ndarray) -> np.ndarray:
+    """Find the smallest (v n):C:(v n) with v and n in the plane of shear, which decides on ellipticity in plane strain.
+
+    Parameters
+    ----------
+    material : Material
+        With e_r = 0.
+    states : record array (n,) of dtype STATE
+
+    Returns
+    -------
+    array (n,)
+        In units of p.
+    """
     strain = np.zeros((len(ANGLES), 6))                         # engineering components of v n, v normal to n
     strain[:, 2] = np.sin(2 * ANGLES) / 2
     strain[:, 0] = -strain[:, 2]
@@ -63,15 +76,15 @@ def in_plane(material, states):
     return np.einsum("ai,nik,ak->na", strain, material.response(states), strain, optimize=True).min(1)
 
 
-def _duration(gamma, where):
-    """Strain over which something is so, by trapezoids."""
+def _duration(gamma: np.ndarray, where: np.ndarray) -> float:
+    """Strain over which a condition holds, by the trapezoidal rule."""
     return float((np.diff(gamma) * (where[1:] * 0.5 + where[:-1] * 0.5)).sum())
 
 
-def curve(mu, closure, elastic_strain):
-    """A Curve; a closure of CLOSURES."""
+def curve(mu: float, closure: str, elastic_strain: float) -> Curve:
+    """Follow the reversal with a closure of CLOSURES."""
     material = Material(mu, elastic_strain=elastic_strain, **CLOSURES[closure][0])
-    steps = driver.shear(-TURN, increments=1), driver.shear(-STRAIN, increments=INCREMENTS)
+    steps = driver.shear(-FIRST_STRAIN, increments=1), driver.shear(-STRAIN, increments=INCREMENTS)
     history = driver.run(material, material.steady(material["phic"] + DISTANCE), steps)
     found = material.ellipticity(history.states)
     plane = in_plane(material, history.states) if elastic_strain == 0 else np.full(len(history), np.nan)
@@ -81,15 +94,16 @@ def curve(mu, closure, elastic_strain):
                  {name: columns[name][0] for name in MEASURES})
 
 
-def study():
+def study() -> list[Curve]:
     """The curves of all friction coefficients, closures and elastic strains."""
     return [curve(mu, closure, elastic_strain) for mu in MUS for closure in CLOSURES for elastic_strain in ELASTIC_STRAINS]
 
 
-# ---- what is written -------------------------------------------------------------------------------------------------
+# ---- files -----------------------------------------------------------------------------------------------------------
 
-def write_curves(path, curves):
-    with open(path, "w", newline="", encoding="utf-8") as file:
+def write_curves(filename: Path, curves: Sequence[Curve]) -> None:
+    """Write all curves under their mu, closure, elastic_strain and the names of CURVES."""
+    with open(filename, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(("mu", "closure", "elastic_strain", *CURVES))
         for c in curves:
@@ -97,8 +111,9 @@ def write_curves(path, curves):
                 table.writerow((c.mu, c.closure, c.elastic_strain, *(f"{value:.7g}" for value in row)))
 
 
-def write_losses(path, curves):
-    with open(path, "w", newline="", encoding="utf-8") as file:
+def write_losses(filename: Path, curves: Sequence[Curve]) -> None:
+    """Write how far and how long each measure of each curve is negative."""
+    with open(filename, "w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(("mu", "closure", "elastic_strain", "measure", *LOSS))
         for c in curves:
@@ -107,21 +122,21 @@ def write_losses(path, curves):
                 table.writerow((c.mu, c.closure, c.elastic_strain, measure, *numbers))
 
 
-def losses_in_words(curves):
-    """The table on screen: eta_t and the smallest eigenvalue, one line a curve."""
+def losses_in_words(curves: Sequence[Curve]) -> str:
+    """The table for the screen: eta_t and the smallest eigenvalue, one line for each curve."""
     lines = ["after a reversal at constant volume; eigenvalue in p (e_r = 0) or p/e_r; strains over which they are negative",
              f"{'mu':>4} {'closure':15} {'e_r':>5} {'eta_t':>8} {'strain':>7} {'eigenvalue':>11} {'least':>9} {'strain':>7}"
              f" {'deep':>6} {'in plane':>9} {'steady':>10}"]
     for c in curves:
-        eta_t, least, unit = c.loss("eta_t"), c.loss("eigenvalue"), c.elastic_strain or 1.0
+        eta_t, least, scale = c.loss("eta_t"), c.loss("eigenvalue"), c.elastic_strain or 1.0
         lines.append(f"{c.mu:4g} {c.closure:15} {c.elastic_strain:5g} {eta_t['after_reversal']:8.4f} {eta_t['duration']:7.3f} "
-                     f"{least['after_reversal'] * unit:11.5f} {least['least'] * unit:9.5f} {least['duration']:7.3f} "
-                     f"{least['duration_deep']:6.3f} {c.loss('in_plane')['after_reversal']:9.5f} {least['steady'] * unit:10.6f}")
+                     f"{least['after_reversal'] * scale:11.5f} {least['least'] * scale:9.5f} {least['duration']:7.3f} "
+                     f"{least['duration_deep']:6.3f} {c.loss('in_plane')['after_reversal']:9.5f} {least['steady'] * scale:10.6f}")
     return "\n".join(lines)
 
 
-def picture(curves):
-    """eta_t and the smallest eigenvalues against the strain after the reversal, one column for each mu."""
+def draw(curves: Sequence[Curve]) -> Figure:
+    """Draw eta_t and the smallest eigenvalues against the strain after the reversal, one column for each mu."""
     figure = Figure(figsize=(13, 8.2))
     figure.set_layout_engine("constrained", rect=(0, 0.04, 1, 0.96))
     figure.suptitle("Reversal of shear at constant volume: the law is not elliptic where a curve is below 0", fontsize=11)
@@ -150,19 +165,24 @@ def picture(curves):
     return figure
 
 
-def write_study(out):
-    """Writes wellposed.csv (curves), wellposed-loss.csv (table) and wellposed.png into a directory.
+def write_study(out: str | Path) -> tuple[list[Curve], list[Path]]:
+    """Compute all curves; write wellposed.csv (curves), wellposed-loss.csv (table) and wellposed.png into a directory.
+
+    Parameters
+    ----------
+    out : path
+        Directory; it is created if it does not exist.
 
     Returns
     -------
     curves : list of Curve
-    paths : list of pathlib.Path
+    files : list of pathlib.Path
     """
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     curves = study()
-    paths = [out / "wellposed.csv", out / "wellposed-loss.csv", out / "wellposed.png"]
-    write_curves(paths[0], curves)
-    write_losses(paths[1], curves)
-    picture(curves).savefig(paths[2], dpi=110)
-    return curves, paths
+    files = [out / "wellposed.csv", out / "wellposed-loss.csv", out / "wellposed.png"]
+    write_curves(files[0], curves)
+    write_losses(files[1], curves)
+    draw(curves).savefig(files[2], dpi=110)
+    return curves, files

@@ -1,0 +1,152 @@
+"""A body on a mesh: elements, parts of the boundary, kinematics, internal forces and stiffness."""
+
+from collections.abc import Iterator
+
+import dolfinx.mesh
+import numpy as np
+from dolfinx import fem
+from mpi4py import MPI
+
+from .. import core
+from ._compat import FacetTable, FacetTags, ReferenceCell, cell_nodes, vector_space
+from .conditions import Where
+
+ELEMENT_FAILURES = ("", "the mesh is inverted", "the increment rotates or strains a cell too much")     # by the core's status
+
+
+class Body:
+    """The nodes, cells and integration points of a mesh, and the element operations on them.
+
+    Everything is of this rank. Arrays over cells and points hold the cells that the rank owns, points cell by cell; arrays over
+    nodes hold the owned nodes first and the ghosts last. Elements of degree 1 take the volume change as the mean of the cell
+    (B-bar); the nodes move with the material (updated Lagrangian), so that element operations take the present positions.
+
+    Parameters
+    ----------
+    mesh : dolfinx.mesh.Mesh
+        Cells of dimension 2 in the plane or 3 in space.
+    degree : 1 or 2
+        Of the displacements.
+    facet_tags : dolfinx.mesh.MeshTags, optional
+        What numbers mean where a part of the boundary is asked for.
+
+    Attributes
+    ----------
+    comm : MPI communicator
+    d : int
+        Dimension, 2 or 3.
+    space : dolfinx.fem.FunctionSpace
+        Displacements.
+    element : ReferenceCell
+    cells : int
+        How many this rank owns.
+    cell_nodes : int array (cells, nodes per cell)
+        Local node numbers.
+    cell_nodes_with_ghosts : int array
+        The same, followed by those of the ghost cells.
+    owned_nodes : int
+    positions : array (nodes, d)
+        At the start.
+    size : float
+        Largest coordinate of a node over all ranks, the length that tolerances of positions refer to.
+    """
+
+    def __init__(self, mesh: dolfinx.mesh.Mesh, degree: int, facet_tags: FacetTags | None = None) -> None:
+        self.mesh, self.comm, self.d, self.degree = mesh, mesh.comm, mesh.geometry.dim, degree
+        self._facet_tags = facet_tags
+        self._mean_dilatation = int(degree == 1)
+        self.space = vector_space(mesh, degree)
+        self.element = ReferenceCell(mesh, degree)
+        self.cells = mesh.topology.index_map(self.d).size_local
+        self.cell_nodes_with_ghosts = cell_nodes(self.space)
+        self.cell_nodes = self.cell_nodes_with_ghosts[:self.cells]
+        self.owned_nodes = self.space.dofmap.index_map.size_local
+        self.positions = np.ascontiguousarray(self.space.tabulate_dof_coordinates()[:, :self.d])
+        self.size = self.largest(self.positions)
+
+    def largest(self, values: np.ndarray) -> float:
+        """Largest absolute value of an array over all ranks, 0 if it is empty on all of them."""
+        return self.comm.allreduce(np.abs(values).max(initial=0.0), MPI.MAX)
+
+    # ---- parts of the boundary -------------------------------------------------------------------------------------
+
+    def nodes_at(self, where: Where) -> np.ndarray:
+        """Local numbers of this rank's nodes, ghosts included, on a part of the boundary; collective."""
+        return np.asarray(fem.locate_dofs_topological(self.space, self.d - 1, self._facets_at(where)), np.int32)
+
+    def cell_facets_at(self, where: Where) -> np.ndarray:
+        """Pairs (n, 2), int32, of an owned cell and its local facet on a part of the boundary."""
+        topology = self.mesh.topology
+        topology.create_connectivity(self.d - 1, self.d)
+        topology.create_connectivity(self.d, self.d - 1)
+        to_cell, to_facet = topology.connectivity(self.d - 1, self.d), topology.connectivity(self.d, self.d - 1)
+        pairs = [(to_cell.links(facet)[0], facet) for facet in self._facets_at(where)]
+        pairs = [(cell, np.flatnonzero(to_facet.links(cell) == facet)[0]) for cell, facet in pairs if cell < self.cells]
+        return np.array(pairs, np.int32).reshape(-1, 2)
+
+    def facet_groups(self, cell_facets: np.ndarray) -> Iterator[tuple[np.ndarray, FacetTable]]:
+        """Groups pairs of cell_facets_at by local facet: cells (n), each once, and the table of that facet."""
+        for local, table in enumerate(self.element.facets):
+            cells = cell_facets[cell_facets[:, 1] == local, 0]
+            if len(cells):
+                yield cells, table
+
+    def _facets_at(self, where: Where) -> np.ndarray:
+        """Mesh facets on a part of the boundary."""
+        self.mesh.topology.create_connectivity(self.d - 1, self.d)
+        if callable(where):
+            return dolfinx.mesh.locate_entities_boundary(self.mesh, self.d - 1, where)
+        if self._facet_tags is None:
+            raise ValueError(f"a condition's where is {where!r}, but the problem was given no facet_tags")
+        return np.unique(self._facet_tags.indices[np.isin(self._facet_tags.values, where)])
+
+    # ---- elements --------------------------------------------------------------------------------------------------
+
+    def at_cells(self, nodal: np.ndarray) -> np.ndarray:
+        """Values (cells, nodes per cell, ...) of the cells' nodes from those (nodes, ...) of all nodes."""
+        return nodal[self.cell_nodes]
+
+    def point_positions(self, x: np.ndarray) -> np.ndarray:
+        """Positions (points, d) of the integration points where the cells' nodes are at x (cells, nodes per cell, d)."""
+        return np.einsum("qa,cai->cqi", self.element.values, x).reshape(-1, self.d)
+
+    def kinematics(self, x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Displacement gradient increments of the points as the material takes them.
+
+        Parameters
+        ----------
+        x, u : array (cells, nodes per cell, d)
+            Positions of the cells' nodes before the increment, and their displacements in it.
+
+        Returns
+        -------
+        gradients : array (cells, points per cell, 3, 3)
+        volumes : array (cells, points per cell)
+            After the increment; areas in plane strain.
+        status : int array (cells)
+            0, or the position of the reason in ELEMENT_FAILURES.
+        """
+        return core.element_gradients(self._mean_dilatation, self.element.gradients, self.element.weights, x, u)
+
+    def internal_forces(self, x: np.ndarray, volumes: np.ndarray, stress: np.ndarray) -> np.ndarray:
+        """Nodal forces (cells, nodes per cell, d) of stresses (cells, points per cell, 6) where the cells' nodes are at x."""
+        return core.element_forces(self._mean_dilatation, self.element.gradients, x, volumes, stress)
+
+    def internal_stiffness(self, x: np.ndarray, volumes: np.ndarray, gradients: np.ndarray, stress: np.ndarray,
+                           tangent: np.ndarray, stiffness: np.ndarray) -> None:
+        """Writes the derivatives of the internal forces by the increment's displacements into stiffness (cells, n, n).
+
+        Parameters
+        ----------
+        x : array (cells, nodes per cell, d)
+            Positions after the increment.
+        volumes : array (cells, points per cell)
+        gradients : array (cells, points per cell, 3, 3)
+            Of the increment, by positions before it.
+        stress : array (cells, points per cell, 6)
+        tangent : array (cells, points per cell, 6, 9), or (cells, points per cell, 4, 4) in plane strain
+            d stress / d (strain, spin) of the increment.
+        stiffness : array (cells, n, n)
+            n = nodes per cell times d.
+        """
+        core.element_stiffness(self._mean_dilatation, self.element.gradients, x, volumes, gradients, stress, tangent, stiffness)

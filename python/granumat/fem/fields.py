@@ -1,0 +1,150 @@
+"""Fields: what a body's cells and vertices have, and their record for ParaView."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mpi4py import MPI
+
+from .. import tensors
+from .cellwise import SHAPES, VertexMesh, on_rank_0
+from .output import Output
+from .problem import Problem
+
+FIELDS = {
+    "p": "pressure $p\\,d/k$", "stress_ratio": "stress ratio $|\\sigma'|/p$", "Z2": "coordination number $Z_2$",
+    "phi": "volume fraction $\\phi$", "A": "fabric $|A|$", "A_direction": "direction of most contacts",
+    "shear_strain": "accumulated shear strain", "dilatancy": "dilatancy tr $D/|S|$", "eta_t": "transverse modulus $\\eta_t$",
+}
+SCALAR_FIELDS = [name for name in FIELDS if name != "A_direction"]
+ROUND_OFF = 1e-9                    # a component of a unit vector below, or a shear over a volume strain, counts as 0
+
+
+def cell_fields(problem: Problem) -> dict[str, np.ndarray]:
+    """The means over this rank's own cells, weighted by volume: a dict of FIELDS to arrays (cells,); A_direction (cells, 3).
+
+    p is compression positive; A is abs(A) of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of
+    which the first component that is not 0 is positive; it is 0 where there is no fabric. dilatancy is that of the last
+    increment, 0 where it had no shear.
+    """
+    states, volumes = problem.states, problem.point_volumes().reshape(problem.cells, -1)
+    weights = volumes / volumes.sum(axis=1, keepdims=True)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        return np.einsum("cq,cq...->c...", weights, np.asarray(values).reshape(*weights.shape, *values.shape[1:]))
+
+    stress, fabric = mean(states["stress"]), mean(states["fabric"])
+    strain = np.zeros((problem.cells, 6))
+    if problem.last is not None:
+        strain = mean(tensors.symmetric(problem.last.gradients))
+    volume_strain, shear = tensors.trace(strain), tensors.magnitude(tensors.deviator(strain))
+    dilatancy = np.divide(volume_strain, shear, out=np.zeros_like(shear), where=shear > ROUND_OFF * abs(volume_strain))
+    direction = np.linalg.eigh(tensors.to_matrix(fabric))[1][..., -1]
+    first = np.take_along_axis(direction, (abs(direction) > ROUND_OFF).argmax(axis=1)[:, None], axis=1)
+    direction = np.where(tensors.magnitude(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
+    return {"p": -tensors.trace(stress) / 3, "stress_ratio": stress_ratio(stress), "Z2": mean(states["coordination_number"]),
+            "phi": mean(states["volume_fraction"]), "A": tensors.magnitude(fabric), "A_direction": direction,
+            "shear_strain": mean(problem.shear_strain), "dilatancy": dilatancy,
+            "eta_t": mean(problem.material.transverse_modulus(states))}
+
+
+def stress_ratio(stress: np.ndarray) -> np.ndarray:
+    """abs(sigma')/p (...) of stresses (..., 6), tension positive; 0 where p is not positive."""
+    p, shear = -tensors.trace(stress) / 3, tensors.magnitude(tensors.deviator(stress))
+    return np.divide(shear, p, out=np.zeros_like(p), where=p > 0)
+
+
+class Fields(Output):
+    """FIELDS of the cells and displacements of the vertices, as an XDMF time series over the mesh at the start.
+
+    The numbers lie beside it in a file of the same name that ends in .bin, those of a long run in further ones, .1.bin, .2.bin ...
+    In ParaView: "Warp by vector" by the displacement.
+
+    Parameters
+    ----------
+    path : path
+        Ends in .xdmf.
+    every : int, optional
+        Increments from one record to the next.
+    times : sequence of float, optional
+        Pseudo-times at which there are records too; make them `events` of the run.
+    """
+
+    HEAD = '<?xml version="1.0"?>\n<Xdmf Version="3.0">\n<Domain>\n<Grid GridType="Collection" CollectionType="Temporal">\n'
+    FOOT = "</Grid>\n</Domain>\n</Xdmf>\n"
+    LARGEST_FILE = 2**32            # bytes of a file of numbers: two of ParaView's three XDMF readers count them in 32 bits
+
+    def __init__(self, path: str | Path, every: int | None = None, times: Sequence[float] = ()) -> None:
+        super().__init__(path, every, times)
+        self._mesh: VertexMesh | None = None
+        self._number_files = 1
+
+    @property
+    def numbers(self) -> list[Path]:
+        """The files of numbers; those that a run has begun so far are known on rank 0."""
+        return [self.path.with_suffix(f".{i}.bin" if i else ".bin") for i in range(self._number_files)]
+
+    def growing_files(self) -> Sequence[Path]:
+        return [self.path, *self.numbers]
+
+    def restore(self, bookmark: dict[str, Any], comm: MPI.Comm) -> None:
+        self._number_files = max(1, len(bookmark["sizes"]) - 1)
+        super().restore(bookmark, comm)
+
+    def _write(self, problem: Problem) -> None:
+        if self._mesh is None:
+            self._mesh = VertexMesh(problem.body)
+        mesh = self._mesh
+        displacement = mesh.gather(problem.displacement)
+        fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem).items()}
+        on_rank_0(problem.comm, lambda: self._append(problem.t, mesh, displacement, fields))
+
+    def _append(self, t: float, mesh: VertexMesh, displacement: np.ndarray, fields: dict[str, np.ndarray]) -> None:
+        """Appends a record: numbers to the last file of numbers, its description to the XDMF file."""
+        cells = mesh.cells[:, SHAPES[mesh.shape].around].astype("<i4")
+        positions = _in_space(mesh.positions)
+        arrays = {"displacement": _in_space(displacement)} | {name: np.asarray(values, "<f8") for name, values in fields.items()}
+        new = self.written is None
+        start = 0 if new else self.numbers[-1].stat().st_size
+        if start and start + sum(values.nbytes for values in arrays.values()) > self.LARGEST_FILE:
+            self._number_files, start = self._number_files + 1, 0
+        with open(self.numbers[-1], "ab" if start else "wb") as stream:
+            if new:
+                stream.write(cells.tobytes() + positions.tobytes())
+            start = stream.tell()
+            stream.writelines(values.tobytes() for values in arrays.values())
+        first, last = self.numbers[0], self.numbers[-1]
+        record = [f'<Grid>\n<Time Value="{t!r}"/>\n<Topology TopologyType="{mesh.shape.capitalize()}" '
+                  f'NumberOfElements="{len(cells)}">{_data_item(cells, first, 0)}</Topology>\n<Geometry GeometryType="XYZ">'
+                  f"{_data_item(positions, first, cells.nbytes)}</Geometry>\n"]
+        for name, values in arrays.items():
+            kind, center = "Vector" if values.ndim == 2 else "Scalar", "Node" if name == "displacement" else "Cell"
+            record.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{center}">{_data_item(values, last, start)}'
+                          "</Attribute>\n")
+            start += values.nbytes
+        with open(self.path, "wb" if new else "rb+") as stream:
+            if new:
+                stream.write(self.HEAD.encode())
+            else:
+                stream.seek(-len(self.FOOT), os.SEEK_END)
+            stream.write(("".join(record) + "</Grid>\n" + self.FOOT).encode())
+
+    def _truncate(self, sizes: Sequence[int]) -> None:
+        super()._truncate(sizes)
+        with open(self.path, "rb+") as stream:                   # where the foot stood, the next record had been written
+            stream.seek(-len(self.FOOT), os.SEEK_END)
+            stream.write(self.FOOT.encode())
+
+
+def _data_item(values: np.ndarray, file: Path, start: int) -> str:
+    """XDMF's words for an array that begins at a byte of a file."""
+    kind = "Int" if values.dtype.kind == "i" else "Float"
+    return (f'<DataItem Dimensions="{" ".join(map(str, values.shape))}" NumberType="{kind}" Precision="{values.itemsize}" '
+            f'Format="Binary" Endian="Little" Seek="{start}">{file.name}</DataItem>')
+
+
+def _in_space(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (n, 3) of vectors (n, d), with a z component of 0 in the plane."""
+    return np.hstack([vectors, np.zeros((len(vectors), 3 - vectors.shape[1]))]).astype("<f8")

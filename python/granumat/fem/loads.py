@@ -1,0 +1,93 @@
+"""What loads a body: gravity and tractions, which do not follow its motion, and pressures, which do."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .body import Body
+from .conditions import Pressure, Traction
+
+
+class Loads:
+    """Nodal forces of gravity and of the Pressure and Traction conditions.
+
+    Parameters
+    ----------
+    body : Body
+    conditions : sequence
+        Those of other types are left to Numbering.
+    gravity : sequence (d) or None
+        Weight of the solid per volume of the solid, in units of stress per length.
+    solid_volumes : array (points)
+        Volume of the solid that belongs to each point, which an increment conserves.
+    """
+
+    def __init__(self, body: Body, conditions: Sequence[object], gravity: Sequence[float] | None,
+                 solid_volumes: np.ndarray) -> None:
+        self._body = body
+        self._weight = np.zeros((body.cells, body.cell_nodes.shape[1], body.d))
+        if gravity is not None:
+            self._weight += np.einsum("cq,qa,i->cai", solid_volumes.reshape(body.cells, -1), body.element.values,
+                                      np.asarray(gravity, float))
+        self._tractions = [(self._nodal_areas(condition), condition.value) for condition in conditions
+                           if isinstance(condition, Traction)]
+        self._pressures = [(condition, body.cell_facets_at(condition.where)) for condition in conditions
+                           if isinstance(condition, Pressure)]
+
+    def _nodal_areas(self, traction: Traction) -> np.ndarray:
+        """Area (cells, nodes per cell) of a traction's part at the start, shared out to the nodes by the shape functions."""
+        x = self._body.at_cells(self._body.positions)
+        areas = np.zeros(x.shape[:2])
+        for cells, (values, derivatives, weights) in self._body.facet_groups(self._body.cell_facets_at(traction.where)):
+            area = np.linalg.norm(_normals(np.einsum("psa,cai->cpsi", derivatives, x[cells])), axis=-1)
+            areas[cells] += np.einsum("cp,p,pa->ca", area, weights, values)
+        return areas
+
+    def dead(self, t: float) -> np.ndarray:
+        """Nodal forces (cells, nodes per cell, d) of gravity and tractions at pseudo-time t."""
+        return self._weight + sum(areas[..., None] * np.asarray(value(t) if callable(value) else value, float)
+                                  for areas, value in self._tractions)
+
+    def pressures(self, x: np.ndarray, t: float, stiffness: np.ndarray | None = None) -> np.ndarray:
+        """Nodal forces (cells, nodes per cell, d) of the pressures at pseudo-time t on the cells' nodes at x.
+
+        If a stiffness (cells, n, n) is given, the forces' derivative by x is subtracted from it.
+        """
+        forces = np.zeros_like(x)
+        for condition, cell_facets in self._pressures:
+            pressure = condition.value(t) if callable(condition.value) else condition.value
+            for cells, (values, derivatives, weights) in self._body.facet_groups(cell_facets):
+                tangents = np.einsum("psa,cai->cpsi", derivatives, x[cells])
+                normals = _normals(tangents)
+                facet_center = np.einsum("qa,cai->ci", values, x[cells]) / len(weights)
+                outward = np.sign(np.einsum("cpi,ci->c", normals, facet_center - x[cells].mean(axis=1)))
+                factor = -pressure * outward[:, None] * weights
+                forces[cells] += np.einsum("cp,pa,cpi->cai", factor, values, normals, optimize=True)
+                if stiffness is not None:
+                    block = np.einsum("cp,pa,cpsij,psb->caibj", factor, values, _normal_derivatives(tangents), derivatives,
+                                      optimize=True)
+                    stiffness[cells] -= block.reshape(len(cells), *stiffness.shape[1:])
+        return forces
+
+
+def _normals(tangents: np.ndarray) -> np.ndarray:
+    """Normals (..., d), as long as the area is large, from a facet's tangent vectors (..., d - 1, d)."""
+    if tangents.shape[-1] == 2:
+        return np.stack([tangents[..., 0, 1], -tangents[..., 0, 0]], axis=-1)
+    return np.cross(tangents[..., 0, :], tangents[..., 1, :])
+
+
+def _normal_derivatives(tangents: np.ndarray) -> np.ndarray:
+    """Derivatives (..., s, i, j) of component i of the normals by component j of tangent vector s."""
+    d = tangents.shape[-1]
+    axis = np.eye(d)
+    derivatives = np.zeros((*tangents.shape, d))
+    for j in range(d):
+        for s in range(d - 1):
+            if d == 2:
+                derivatives[..., s, :, j] = [axis[j, 1], -axis[j, 0]]
+            elif s == 0:
+                derivatives[..., s, :, j] = np.cross(axis[j], tangents[..., 1, :])
+            else:
+                derivatives[..., s, :, j] = np.cross(tangents[..., 0, :], axis[j])
+    return derivatives

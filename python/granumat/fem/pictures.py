@@ -1,0 +1,85 @@
+"""Pictures of fields on the deformed mesh."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .cellwise import VertexMesh, on_rank_0
+from .fields import FIELDS, SCALAR_FIELDS, cell_fields
+from .output import Output
+from .problem import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+class Pictures(Output):
+    """A field on the deformed mesh (in three dimensions on its surface) as PNG, one a record, FIELD-INCREMENT.png.
+
+    Parameters
+    ----------
+    directory : path
+    field : str
+        One of FIELDS but A_direction.
+    every, times
+        As in Fields.
+
+    Raises
+    ------
+    ValueError
+        There is no such field.
+    """
+
+    def __init__(self, directory: str | Path, field: str = "p", every: int | None = None, times: Sequence[float] = ()) -> None:
+        super().__init__(Path(directory) / field, every, times)
+        if field not in SCALAR_FIELDS:
+            raise ValueError(f"field = {field!r}: must be one of {', '.join(SCALAR_FIELDS)}")
+        self.field = field
+        self._mesh: VertexMesh | None = None
+
+    def _write(self, problem: Problem) -> None:
+        if self._mesh is None:
+            self._mesh = VertexMesh(problem.body)
+        mesh = self._mesh
+        positions = mesh.gather(problem.positions + problem.displacement)
+        values = mesh.order.gather(cell_fields(problem)[self.field])
+
+        def draw() -> None:
+            polygons, cells = mesh.polygons()
+            hertzian = problem.material.contact == "hertzian"
+            label = FIELDS[self.field].replace("\\,d/k", "/k_{Hz}" if hertzian else "\\,d/k")
+            figure = field_figure(positions[polygons], values[cells], label, f"t = {problem.t:.6g}")
+            figure.savefig(f"{self.path}-{problem.increments:06d}.png", dpi=130)
+        on_rank_0(problem.comm, draw)
+
+
+def field_figure(polygons: np.ndarray, values: np.ndarray, label: str, title: str = "") -> "Figure":
+    """Polygons (n, corners, d) in the colours of their values (n), with a colour bar.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    from matplotlib.collections import PolyCollection  # here, as few ranks and runs draw
+    from matplotlib.figure import Figure
+    from mpl_toolkits.mplot3d.art3d import Poly3DCollection
+    in_space = polygons.shape[-1] == 3
+    low, high = polygons.min(axis=(0, 1)), polygons.max(axis=(0, 1))
+    figure = Figure(figsize=(7, 6), layout="constrained")
+    axes = figure.add_subplot(projection="3d" if in_space else None)
+    collection = (Poly3DCollection if in_space else PolyCollection)(polygons, cmap="viridis", linewidths=0, antialiaseds=False)
+    collection.set_array(values)
+    if in_space:
+        axes.add_collection3d(collection)
+        axes.set_box_aspect(high - low)
+        axes.locator_params(axis="z", nbins=3)
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]), zlabel="z")
+    else:
+        axes.add_collection(collection)
+        axes.autoscale_view()
+        axes.set_aspect("equal")
+    axes.set(xlabel="x", ylabel="y", title=title)
+    figure.colorbar(collection, ax=axes, label=label, shrink=0.8)
+    return figure

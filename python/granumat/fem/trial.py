@@ -1,0 +1,68 @@
+"""Where an increment would lead, and what a problem has come to."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+def _no_values() -> np.ndarray:
+    return np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """Where displacements of an increment lead. It changes nothing of the problem, which may accept it.
+
+    Attributes
+    ----------
+    t : float
+        Pseudo-time at the end of the increment.
+    duration : float
+        Of the increment, in pseudo-time.
+    u : array (nodes, d)
+        Displacements in the increment.
+    states : record array (points) of dtype STATE
+        This and the arrays below are empty if the displacements could not be evaluated.
+    gradients : array (points, 3, 3)
+        du_i/dx_j of the increment as the material takes it.
+    volumes : array (cells, points per cell)
+    stress : array (cells, points per cell, 6)
+        The material's and that of the rate term.
+    forces : array (cells, nodes per cell, d)
+        What the cells' nodes need from outside: internal forces less loads.
+    residual : float
+        Norm of the residual forces, relative to that of the internal forces.
+    residuals : tuple of float
+        Those of the Newton iterations that have led here, the first guess's first.
+    failure : str
+        Empty if the increment is solved, else why it is not.
+    """
+
+    t: float
+    duration: float
+    u: np.ndarray
+    states: np.ndarray = field(default_factory=_no_values)
+    gradients: np.ndarray = field(default_factory=_no_values)
+    volumes: np.ndarray = field(default_factory=_no_values)
+    stress: np.ndarray = field(default_factory=_no_values)
+    forces: np.ndarray = field(default_factory=_no_values)
+    residual: float = np.inf
+    residuals: tuple[float, ...] = ()
+    failure: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """What a problem has come to: everything that its continuation depends on besides what it was made of.
+
+    Attributes are those of Problem. Arrays are shared with the problem, which replaces them and does not write into them.
+    """
+
+    t: float
+    increments: int
+    next_increment: float | None
+    displacement: np.ndarray
+    states: np.ndarray
+    shear_strain: np.ndarray
+    volume_strain: np.ndarray
+    last: Trial | None
