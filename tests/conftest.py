@@ -9,6 +9,14 @@ from granumat import Material
 
 CALCULIX = Path(__file__).resolve().parents[1] / "demos/linking/calculix"
 NO_DOWNLOAD = 69            # exit status of its build.sh
+PROGRAMS = {"calculix", "mpirun"}     # fixtures: tests of other programs, or of several ranks
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if PROGRAMS.intersection(item.fixturenames):
+            item.add_marker("slow")
+            item.add_marker("release_only")
 
 
 @pytest.fixture(scope="session")

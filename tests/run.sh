@@ -1,14 +1,26 @@
 #!/bin/sh
-# Tests the debug build, then the release build; arguments go to the last pytest.
+# Tests the debug build in what depends on the build, then the release build in everything; arguments go to the last pytest.
+# ./tests/run.sh --quick: the release build only, without slow tests.
 set -eu
 cd "$(dirname "$0")/.."
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
-./install-packages.sh python3-gmsh
-./build.sh release debug
-
 export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
-pytest="/usr/bin/python3 -m pytest -p no:cacheprovider"
-status=0
-PYTHONPATH=$PWD/build/debug/python $pytest || status=$?
-PYTHONPATH=$PWD/build/release/python $pytest "$@" || status=$?
-exit $status
+./install-packages.sh python3-gmsh
+
+tests_of() {
+  build=$1
+  shift
+  PYTHONPATH=$PWD/build/$build/python /usr/bin/python3 -m pytest -p no:cacheprovider "$@"
+}
+
+if [ "${1-}" = --quick ]; then
+  shift
+  ./build.sh release
+  tests_of release -m "not slow" "$@"
+else
+  ./build.sh release debug
+  status=0
+  tests_of debug -m "not release_only" || status=$?
+  tests_of release "$@" || status=$?
+  exit $status
+fi

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plane_strain import block_reaction
+from support.plane_strain import block_reaction
 
 ROOT = Path(__file__).resolve().parents[1]
 PRINTED = 1e-6              # CalculiX prints seven digits

@@ -6,10 +6,12 @@ import math
 import numpy as np
 import pytest
 
-import reference
 from granumat import STATE, Material, tensors
 from granumat.cli import main
 from granumat.studies import chart, rate_form
+from support import reference
+
+pytestmark = [pytest.mark.slow, pytest.mark.release_only]
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import reference
 from granumat import ConstrainedDeformationWarning, Material, PathError, driver, tensors
+from support import reference
 
 HOLD = 1e-9      # of the stress held: ten times path.f90's STRESS_TOLERANCE
 

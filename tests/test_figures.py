@@ -5,7 +5,9 @@ import pytest
 
 from granumat import Material
 from granumat.studies import figures
-from reference import constants
+from support.reference import constants
+
+pytestmark = pytest.mark.release_only
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +28,7 @@ def curves(figure, panel, dem=False):
     return [np.array(line.get_data(), float) for line in lines if dem or len(line.get_xdata()) > 2]
 
 
+@pytest.mark.slow
 def test_every_figure_is_written_under_its_number(tmp_path):
     paths = figures.draw_figures(tmp_path / "new")
     assert [path.name for path in paths] == [f"figure-{n:02d}.png" for n in (1, 2, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 16)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material, tensors
-from reference import random_increments
+from support.reference import random_increments
 
 
 def random_states(rng, material, n, shear, **sampling):

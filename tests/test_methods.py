@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-import reference
 from granumat import STATE, Material, MaterialError, core, driver, tensors
 from granumat.material import CLOSURES, CONTACTS, METHODS, SPINS
 from granumat.paths import read_path_file
+from support import reference
 from test_bad_input import check, spoiled
 from test_invariants import random_states
 

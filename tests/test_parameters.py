@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import reference
 from granumat import Material
+from support import reference
 
 MUS = np.linspace(0, 1, 11)
 

@@ -119,6 +119,8 @@ def test_limits_are_the_first_increments_of_their_kind():
                                   [[1, 2, 3, 4], [np.inf] * 4, [3, 3, np.inf, 2]])
 
 
+@pytest.mark.slow
+@pytest.mark.release_only
 def test_the_command_writes_the_picture_and_its_numbers(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stability, "GAMMAS", stability.GAMMAS[::15])
     monkeypatch.setattr(stability, "ANGLES", stability.ANGLES[::12])

@@ -5,12 +5,26 @@ import pytest
 from scipy.linalg import expm, logm, polar, sqrtm
 from scipy.spatial.transform import Rotation
 
-import reference
 from granumat import Material, tensors
 from granumat.material import CALIBRATIONS, CLOSURES, CONTACTS
+from support import reference
+from support.umat_host import (
+    DIRECTION,
+    EYE,
+    FABRIC,
+    N_STATEV,
+    PHI,
+    STRESS,
+    WORK,
+    Z2,
+    call,
+    engineering,
+    increment,
+    properties,
+    statev_of,
+)
 from test_invariants import random_states
 from test_tangent import WEIGHTS, unit_gradients
-from umat_host import DIRECTION, EYE, FABRIC, N_STATEV, PHI, STRESS, WORK, Z2, call, engineering, increment, properties, statev_of
 
 UNIT = 2.5e6                                      # a stress unit, Pa
 

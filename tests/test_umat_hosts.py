@@ -9,7 +9,21 @@ from scipy.linalg import expm
 
 from granumat import Material
 from granumat.core import status_message
-from umat_host import EYE, FABRIC, LIBRARY, N_STATEV, ORDER, PHI, STATUS, WORK, Guarded, call, engineering, properties, statev_of
+from support.umat_host import (
+    EYE,
+    FABRIC,
+    LIBRARY,
+    N_STATEV,
+    ORDER,
+    PHI,
+    STATUS,
+    WORK,
+    Guarded,
+    call,
+    engineering,
+    properties,
+    statev_of,
+)
 
 UNIT = 1.0e6
 PROPS = properties(stiffness=UNIT, elastic_strain=0.01, pressure=5e3)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material
-from umat_host import BUILD
+from support.umat_host import BUILD
 
 ROOT = Path(__file__).parents[1]
 UMAT = (ROOT / "fortran" / "faces" / "umat.f90").read_text()

@@ -239,6 +239,8 @@ def granumat(cwd, *arguments, ranks=1):
     return subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, env=dict(os.environ))
 
 
+@pytest.mark.slow
+@pytest.mark.release_only
 def test_the_command_stops_with_words_and_goes_on_from_there(tmp_path):
     text = ANNULUS.replace("[10, 0.02]", "[2, 0.004], [2.1, 3]").replace("increment = 1", "increment = 1\nsmallest = 0.05")
     written(tmp_path, text)
