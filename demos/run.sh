@@ -14,4 +14,4 @@ export MPLBACKEND=Agg OMP_NUM_THREADS=1
 /usr/local/bin/granumat figures --out results/figures
 
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-mpirun --oversubscribe -n 2 /usr/local/bin/granumat solve demos/scenes/annulus-coarse.toml --out results/annulus
+mpirun --oversubscribe --mca mpi_yield_when_idle 1 -n 2 /usr/local/bin/granumat solve demos/scenes/annulus-coarse.toml --out results/annulus

@@ -35,7 +35,7 @@ def count(library):
     return routines
 
 
-@pytest.mark.parametrize("library", LIBRARIES, ids=lambda library: library.parent.name)
+@pytest.mark.parametrize("library", LIBRARIES, ids=[library.parent.name for library in LIBRARIES])
 def test_the_exact_update_and_its_tangent_are_vector_instructions(library):
     routines = {name: found for name, found in count(library).items() if found.total() >= COUNTED_FROM}
     assert sum(found["vector"] for found in routines.values()) > 1000
