@@ -62,6 +62,11 @@ def _parser() -> argparse.ArgumentParser:
     solve = command("solve", run_solve, "run a scene file: a boundary-value problem on a mesh; under mpirun on several ranks")
     solve.add_argument("scene", type=Path, help="the scene, a TOML file")
     solve.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
+    ladder = command("ladder", run_ladder, "find the cheapest model that will do for a path or scene file; under mpirun on several ranks")
+    ladder.add_argument("file", type=Path, help="the path or scene with its quantities of interest, a TOML file")
+    ladder.add_argument("--tolerance", type=float, required=True,
+                        help="error that is allowed, relative to the scale of each quantity that has no tolerance of its own")
+    ladder.add_argument("--budget", type=int, help="most runs that there may be")
     command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives").add_argument(
@@ -129,6 +134,14 @@ def run_solve(options: argparse.Namespace) -> None:
     if not options.quiet:
         print(f"t = {problem.t:g} after {problem.increments} increments")
         _say_written(written)
+
+
+def run_ladder(options: argparse.Namespace) -> None:
+    """Run `granumat ladder`; what is there of an earlier climb in the directory is used."""
+    from . import ladder
+    ladder.climb(options.file, options.tolerance, options.out, options.budget, progress=sys.stderr)
+    print((options.out / "ladder.txt").read_text(encoding="utf-8"))
+    _say_written(options.out / name for name in ladder.FILES)
 
 
 def _all_ranks_come(comm: Any) -> bool:
