@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     solve = command("solve", run_solve, "run a scene file: a boundary-value problem on a mesh; under mpirun on several ranks")
     solve.add_argument("scene", type=Path, help="the scene, a TOML file")
     solve.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
-    ladder = command("ladder", run_ladder, "find the cheapest model that will do for a path or scene file; under mpirun on several ranks")
+    ladder = command("ladder", run_ladder, "find the cheapest model that will do for a path or a scene; under mpirun on several ranks")
     ladder.add_argument("file", type=Path, help="the path or scene with its quantities of interest, a TOML file")
     ladder.add_argument("--tolerance", type=float, required=True,
                         help="error that is allowed, relative to the scale of each quantity that has no tolerance of its own")
