@@ -108,7 +108,7 @@ def run_point(options: argparse.Namespace) -> None:
     print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in PRINTED))
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
         print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in PRINTED))
-    written = ["history.csv", "history.png", *([quantities.FILE] if path.quantities else [])]
+    written = ["history.csv", "history.png", *([quantities.QUANTITIES_FILE] if path.quantities else [])]
     _say_written(options.out / name for name in written)
 
 

@@ -25,7 +25,7 @@ from .errors import ConstrainedDeformationWarning, PathError
 from .history import ACOUSTIC, COLUMNS, STATE_COLUMNS, History, Recorder, state_columns, stop_condition
 from .material import Material
 from .paths import write_path_file
-from .quantities import FILE, Quantity, write_history
+from .quantities import QUANTITIES_FILE, Quantity, write_history
 from .steps import (
     CONTROLS,
     SHEAR,
@@ -102,7 +102,7 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
         directory.mkdir(parents=True, exist_ok=True)
         history.write_csv(directory / "history.csv")
         if quantities:
-            write_history(directory / FILE, quantities, history)
+            write_history(directory / QUANTITIES_FILE, quantities, history)
         if failure:
             write_path_file(directory / "failing.toml", material, recorder.state, failure.increment)
     if failure:

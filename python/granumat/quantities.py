@@ -14,7 +14,7 @@ import numpy as np
 from .checks import attempt, is_finite_number, refuse
 from .history import History
 
-FILE = "quantities.csv"
+QUANTITIES_FILE = "quantities.csv"
 KEYS = ("name", "of", "at", "tolerance", "scale")
 WORDS = ("end", "range")            # what `at` may be besides a list of times
 SAME_TIME = 1e-9                    # over the larger of 1 and a time: times that differ by less are the same

@@ -12,6 +12,7 @@ from .. import tensors
 from ..checks import refuse
 from ..core import STATE
 from ..material import Material
+from ..quantities import QUANTITIES_FILE
 from . import meshes
 from ._compat import FacetTags
 from .cellwise import on_rank_0
@@ -23,7 +24,9 @@ from .fields import Fields
 from .output import Output
 from .pictures import Pictures
 from .problem import Problem
-from .scene_file import BOX_SIDES, Function, Resting, Scene, SideConditions, read_scene
+from .quantities import Quantities
+from .scene_data import BOX_SIDES, Function, Resting, Scene, SideConditions
+from .scene_file import read_scene
 from .tables import Probe, Reactions
 
 ON_SIDE = 1e-6                      # over the body's size: a facet as close as that to a side's place lies on it
@@ -203,6 +206,9 @@ def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
     if held:
         outputs.append(Reactions(out / "reactions.csv", held, request.center))
     outputs += [Probe(out / f"probe-{name}.csv", x) for name, x in request.probes.items()]
+    if scene.quantities:
+        regions = {region.name: region for region in scene.regions}
+        outputs.append(Quantities(out / QUANTITIES_FILE, scene.quantities, held, request.probes, regions, request.center))
     return outputs + [Pictures(out, field, request.every, times) for field in request.pictures]
 
 
