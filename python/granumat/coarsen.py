@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from .checks import refuse
 from .material import UNUSED
 
@@ -218,8 +220,9 @@ def claimed_symmetries(content: Content) -> list[str]:
     if not isinstance(names, list) or any(name not in SYMMETRIES for name in names) or set(table) - {"symmetry"}:
         raise ValueError(f"[ladder]: must have nothing but symmetry, one or a list of {', '.join(SYMMETRIES)}")
     mesh = content.get("mesh", {})
-    wanted = {"axial": (mesh.get("kind") == "annulus", "a ring"), "layer": (mesh.get("kind") == "box", "a box"),
-              "plane": (len(mesh.get("cells", [])) == 3, "a box or ring in three dimensions")}
+    kind, cells = (mesh.get("kind"), mesh.get("cells", [])) if isinstance(mesh, Mapping) else (None, [])
+    wanted = {"axial": (kind == "annulus", "a ring"), "layer": (kind == "box", "a box"),
+              "plane": (kind in ("box", "annulus") and np.size(cells) == 3, "a box or ring in three dimensions")}
     refuse("[ladder]", [f"symmetry {name!r} needs {wanted[name][1]}" for name in names if not wanted[name][0]])
     return names
 

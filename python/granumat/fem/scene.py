@@ -207,9 +207,14 @@ def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
         outputs.append(Reactions(out / "reactions.csv", held, request.center))
     outputs += [Probe(out / f"probe-{name}.csv", x) for name, x in request.probes.items()]
     if scene.quantities:
-        regions = {region.name: region for region in scene.regions}
-        outputs.append(Quantities(out / QUANTITIES_FILE, scene.quantities, held, request.probes, regions, request.center))
+        outputs.append(quantities_of(scene, held, out / QUANTITIES_FILE))
     return outputs + [Pictures(out, field, request.every, times) for field in request.pictures]
+
+
+def quantities_of(scene: Scene, held: dict[str, Where], path: Path) -> Quantities:
+    """The observer that writes the scene's quantities of interest; `held` as from problem_of."""
+    regions = {region.name: region for region in scene.regions}
+    return Quantities(path, scene.quantities, held, scene.output.probes, regions, scene.output.center)
 
 
 def _write_all(problem: Problem, outputs: list[Output], checkpoint: Checkpoint) -> None:

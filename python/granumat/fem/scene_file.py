@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import attempt, is_number, refuse
+from ..coarsen import claimed_symmetries
 from ..material import Material
 from ..paths import INITIAL, read_initial, read_material, read_toml, table_of
 from ..quantities import Quantity, read_quantities
@@ -16,7 +17,7 @@ from .problem import Tolerances
 from .quantities import read_source
 from .scene_data import BOX_SIDES, Function, OutputRequest, Region, Resting, RunControl, Scene, SideConditions
 
-TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity")
+TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity", "ladder")
 # By kind of mesh: the keys that it needs, and those that it may have.
 MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading")), "annulus": (("radii", "cells"), ("height", "cell", "grading")),
              "gmsh": (("file",), ())}
@@ -53,6 +54,7 @@ def read_scene(path: str | Path) -> Scene:
     regions = attempt(faults, "", _regions, content, d)
     sides = None if None in conditions else [side for of_entry in conditions for side in of_entry or []]
     quantities = attempt(faults, "", _quantities, content, d, sides, run, output, regions)
+    attempt(faults, "", claimed_symmetries, content)
     refuse(f"{path} cannot be run", faults)
     assert (material is not None and initial is not None and mesh is not None and settings is not None and sides is not None
             and run is not None and output is not None and regions is not None and quantities is not None)  # or there were faults
