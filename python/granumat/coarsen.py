@@ -239,7 +239,7 @@ def scene_axes(content: Content) -> list[Axis]:
                                                       *(Rung(f"{force:g}, {correction:g}", _newton(force, correction))
                                                         for force, correction in NEWTON))))
     axes.append(Axis("increment", NUMERICS, tuple(Rung(_times(factor), _scene_increment(factor)) for factor in SCENE_INCREMENTS),
-                     5, True))
+                     SCENE_INCREMENTS.index(4), True))
     if content.get("mesh", {}).get("kind") in ("box", "annulus"):
         axes.append(mesh_axis(content, names))
     if problem.get("rate_term", 0) > 0:
@@ -252,7 +252,7 @@ def mesh_axis(content: Content, symmetries: Sequence[str]) -> Axis:
     mesh = content["mesh"]
     left = _directions_left(mesh, symmetries)
     factors = {1: REDUCED_FACTORS, 2: PLANE_FACTORS, 3: SOLID_FACTORS}[len(left)]
-    coarsest = 1 if len(left) == 1 else 2                       # over the file's cells, of the first three
+    coarsest = 2 if len(left) == 1 else 4                       # of the first three, over the file's cells
     grading = max(mesh.get("grading", 1.0), RING_GRADING) if mesh["kind"] == "annulus" else None
     rungs = []
     for factor in factors:
@@ -262,7 +262,7 @@ def mesh_axis(content: Content, symmetries: Sequence[str]) -> Axis:
             break
         name = " x ".join(str(cells[axis]) for axis in left) + " cells" + (f", graded {grading:g}:1" if grading else "")
         rungs.append(Rung(name, change))
-    start = min(factors.index(2 * coarsest), len(rungs) - 1)
+    start = min(factors.index(coarsest), len(rungs) - 1)
     own = " x ".join(str(mesh["cells"][axis]) for axis in left) + " cells, as in the file"
     return Axis("mesh", NUMERICS, tuple(rungs), start, True, Rung(own, unchanged))
 
@@ -296,7 +296,8 @@ def _reduction(symmetries: Sequence[str]) -> Callable[[Content], Content]:
 def _cells(factor: float, left: Sequence[int], grading: float | None) -> Callable[[Content], Content]:
     def change(content: Content) -> Content:
         mesh = dict(content["mesh"])
-        fewest = [FEWEST_CELLS["ring" if mesh["kind"] == "annulus" and axis == 1 else "other"] for axis in range(len(mesh["cells"]))]
+        kinds = ["ring" if mesh["kind"] == "annulus" and axis == 1 else "other" for axis in range(len(mesh["cells"]))]
+        fewest = [FEWEST_CELLS[kind] for kind in kinds]
         mesh["cells"] = [max(min(fewest[axis], count), round(count / factor)) if axis in left else count
                          for axis, count in enumerate(mesh["cells"])]
         if grading is not None:

@@ -314,9 +314,10 @@ class Ladder:
             self.setting[axis.name] = axis.own
             return Study(axis, (Finding(axis.own, self.zero, 1.0, is_known=False), *findings), verdict, not spent)
         if not spent:
-            findings += self._own(axis, findings, finest, rest)
-        fine = [finding for finding in findings if (finding.errors <= SHARE_OF_STUDY * self.tolerances + rest).all()]
-        self.setting[axis.name] = min(fine, key=lambda finding: finding.time).rung
+            findings += self._own(axis, finest, rest)
+        fine = [number for number in good if number <= axis.start
+                and (self.errors(found[number], finest) <= SHARE_OF_STUDY * self.tolerances).all()]
+        self.setting[axis.name] = axis.rungs[max(fine)]
         return Study(axis, tuple(findings), is_complete=not spent)
 
     def _refine(self, axis: Axis, found: dict[int, Result]) -> np.ndarray:
@@ -348,10 +349,10 @@ class Ladder:
             if found[number].seconds > (1 - LEAST_SAVING) * coarsest.seconds:
                 break
 
-    def _own(self, axis: Axis, findings: Sequence[Finding], finest: Result, rest: np.ndarray) -> list[Finding]:
-        """The file's own rung, where it is none of those that were run."""
+    def _own(self, axis: Axis, finest: Result, rest: np.ndarray) -> list[Finding]:
+        """The file's own rung, where it is none of the sequence."""
         own = self.changed({axis.name: axis.own})
-        if any(self.changed({axis.name: finding.rung}) == own for finding in findings):
+        if any(self.changed({axis.name: rung}) == own for rung in axis.rungs):
             return []
         try:
             result = self.run({axis.name: axis.own})

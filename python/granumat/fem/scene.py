@@ -25,6 +25,7 @@ from .output import Output
 from .pictures import Pictures
 from .problem import Problem
 from .quantities import Quantities
+from .reduction import modelled
 from .scene_data import BOX_SIDES, Function, Resting, Scene, SideConditions
 from .scene_file import read_scene
 from .tables import Probe, Reactions
@@ -68,13 +69,14 @@ def resting(material: Material, volume_fraction: float, weight: float, top: floa
 
 
 def problem_of(scene: Scene, comm: MPI.Comm) -> tuple[Problem, dict[str, Where]]:
-    """The scene's Problem, and the `where` of every side that conditions hold, by name.
+    """The Problem of the part of a scene that is modelled, and the `where` of every side that conditions hold, by name.
 
     Raises
     ------
     ValueError
         A gmsh file lacks facets that conditions name.
     """
+    scene, _ = modelled(scene)
     mesh, tags, names = _make_mesh(scene.mesh, comm)
     d = mesh.geometry.dim
     size = [comm.allreduce(mesh.geometry.x[:, axis].max(initial=-np.inf), MPI.MAX) for axis in range(d)]
@@ -89,6 +91,8 @@ def problem_of(scene: Scene, comm: MPI.Comm) -> tuple[Problem, dict[str, Where]]
         wheres = {side: _side(scene.mesh, d, str(side)) for side in sides}
     conditions = [condition for entry in scene.conditions
                   for condition in _conditions(entry, wheres[entry.on], size, scene.mesh["kind"])]
+    if "angle" in scene.mesh:
+        conditions.append(_tie_of_sector(scene.mesh["angle"]))
     initial: Any = scene.initial
     if isinstance(initial, Resting):
         initial = resting(scene.material, initial.volume_fraction, initial.weight, size[-1], initial.pressure, initial.k0)
@@ -135,6 +139,12 @@ def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind
         shift[entry.periodic] = size[entry.periodic]
         conditions.append(Periodic(where, lambda x: x - shift))
     return conditions
+
+
+def _tie_of_sector(angle: float) -> Periodic:
+    """Ties the side of a sector that is at an angle to the one at the x axis, turned by the angle."""
+    return Periodic(lambda x: abs(np.arctan2(x[1], x[0]) - angle) < ON_SIDE,
+                    lambda x: np.column_stack([np.hypot(x[:, 0], x[:, 1]), 0 * x[:, 1], x[:, 2:]]), polar())
 
 
 def _displacement(components: dict[int, Function], kind: str) -> Callable[[np.ndarray, float], np.ndarray]:
@@ -200,12 +210,12 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Co
 
 def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
     """The observers that write into the directory `out` what the scene asks for."""
-    request = scene.output
+    request, (_, symmetry) = scene.output, modelled(scene)
     times = (*request.times, 0.0, scene.run.until)
     outputs: list[Output] = [Fields(out / "fields.xdmf", request.every, times)]
     if held:
-        outputs.append(Reactions(out / "reactions.csv", held, request.center))
-    outputs += [Probe(out / f"probe-{name}.csv", x) for name, x in request.probes.items()]
+        outputs.append(Reactions(out / "reactions.csv", held, request.center, symmetry=symmetry))
+    outputs += [Probe(out / f"probe-{name}.csv", x, symmetry=symmetry) for name, x in request.probes.items()]
     if scene.quantities:
         outputs.append(quantities_of(scene, held, out / QUANTITIES_FILE))
     return outputs + [Pictures(out, field, request.every, times) for field in request.pictures]
@@ -213,8 +223,9 @@ def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
 
 def quantities_of(scene: Scene, held: dict[str, Where], path: Path) -> Quantities:
     """The observer that writes the scene's quantities of interest; `held` as from problem_of."""
-    regions = {region.name: region for region in scene.regions}
-    return Quantities(path, scene.quantities, held, scene.output.probes, regions, scene.output.center)
+    part, symmetry = modelled(scene)
+    regions = {region.name: region for region in part.regions}
+    return Quantities(path, scene.quantities, held, scene.output.probes, regions, scene.output.center, symmetry)
 
 
 def _write_all(problem: Problem, outputs: list[Output], checkpoint: Checkpoint) -> None:

@@ -15,12 +15,15 @@ from . import meshes
 from .fields import SCALAR_FIELDS
 from .problem import Tolerances
 from .quantities import read_source
+from .reduction import reduction_faults
 from .scene_data import BOX_SIDES, Function, OutputRequest, Region, Resting, RunControl, Scene, SideConditions
+from .symmetry import exchange_y_z
 
 TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity", "ladder")
 # By kind of mesh: the keys that it needs, and those that it may have.
-MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading")), "annulus": (("radii", "cells"), ("height", "cell", "grading")),
-             "gmsh": (("file",), ())}
+MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading", "layer", "plane")),
+             "annulus": (("radii", "cells"), ("height", "cell", "grading", "sector", "plane")), "gmsh": (("file",), ())}
+REDUCTIONS = ("sector", "layer", "plane")
 OPPOSITE_SIDES = ({"left", "right"}, {"front", "back"}, {"bottom", "top"})
 CARTESIAN, POLAR = ("x", "y", "z"), ("radial", "circumferential", "z")
 CONDITION_KEYS = ("displacement", "rotation", "platen", "pressure", "traction", "periodic")
@@ -55,6 +58,9 @@ def read_scene(path: str | Path) -> Scene:
     sides = None if None in conditions else [side for of_entry in conditions for side in of_entry or []]
     quantities = attempt(faults, "", _quantities, content, d, sides, run, output, regions)
     attempt(faults, "", claimed_symmetries, content)
+    if mesh is not None:
+        faults += [f"[mesh]: {fault}" for fault in reduction_faults(
+            mesh, settings, initial, sides, regions or [], [quantity.of for quantity in quantities or []])]
     refuse(f"{path} cannot be run", faults)
     assert (material is not None and initial is not None and mesh is not None and settings is not None and sides is not None
             and run is not None and output is not None and regions is not None and quantities is not None)  # or there were faults
@@ -128,12 +134,14 @@ def _mesh(content: dict[str, Any], directory: Path) -> dict[str, Any]:
         table = table | {"grading": _grading(table["grading"], len(table["size"]), faults)}
     elif kind == "annulus":
         _check_number(table, "grading", "a number above 0", lambda value: value > 0, faults)
+    faults += [f"{name} = {table[name]!r}: must be true or false" for name in REDUCTIONS
+               if not isinstance(table.get(name, False), bool)]
     if kind == "gmsh" and "file" in table and not (isinstance(table["file"], str) and (directory / table["file"]).is_file()):
         faults.append(f"file = {table['file']!r}: there is no such file")
     refuse("is wrong", faults)
     if kind == "gmsh":
         return table | {"file": directory / table["file"]}
-    arguments = {name: value for name, value in table.items() if name != "kind"}
+    arguments = {name: value for name, value in table.items() if name not in ("kind", *REDUCTIONS)}
     (meshes.check_box if kind == "box" else meshes.check_annulus)(**arguments)
     return table
 
@@ -194,7 +202,9 @@ def _initial(content: dict[str, Any], material: Material | None, kind: str | Non
     if table["state"] == "steady" and kind != "box":
         raise ValueError("[initial]: state = 'steady' is uniform shear along x, of a box only; elsewhere it is a function of "
                          "x, to be given in Python")
-    return _in_plane(state) if state is not None and table["state"] == "steady" and d == 2 else state
+    if state is not None and table["state"] == "steady" and d == 2:
+        return exchange_y_z(np.array(state).reshape(1)).view(np.recarray)[0]         # shear in x-z as shear in x-y
+    return state
 
 
 def _resting(table: dict[str, Any], material: Material | None, gravity: list[float] | None) -> Resting:
@@ -210,14 +220,6 @@ def _resting(table: dict[str, Any], material: Material | None, gravity: list[flo
     refuse("[initial]", faults)
     assert gravity is not None
     return Resting(table["phi"], -gravity[-1], table["pressure"], table.get("K0", 1.0))
-
-
-def _in_plane(state: np.void) -> np.void:
-    """A state of shear in x-z as one of shear in x-y."""
-    rotated = np.array(state).reshape(1).view(np.recarray)[0]
-    for name in ("stress", "fabric", "direction"):
-        rotated[name] = state[name][[0, 2, 1, 4, 3, 5]]
-    return rotated
 
 
 def _run(content: dict[str, Any]) -> RunControl:

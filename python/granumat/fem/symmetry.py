@@ -10,19 +10,19 @@ from .. import tensors
 from .conditions import Where
 from .problem import Problem
 
-SAME_PLACE = 1e-9                   # over the part's width or angle: a position as close as that to the next copy is not in it
-SWAPPED_Y_Z = [0, 2, 1, 4, 3, 5]    # Voigt components where the y and z axes are exchanged
+SAME_PLACE = 1e-9                   # round-off of the number of copies
+TENSORS = ("stress", "fabric", "direction")     # of a state
 
 
 class Place(NamedTuple):
-    """Where in the modelled part a position of the whole body is.
+    """Where a position of the whole body is beside a copy of the modelled part, which need not be the copy that it is in.
 
     Attributes
     ----------
     position : array (d)
-        In the part.
+        In the part, or outside it, if the copy is moved to the part.
     copy : int
-        How many times the part's angle or width the position is away from the part.
+        How many times the part's angle or width the copy is away from the part.
     level : float
         Along the axis without strain; 0 if there is none.
     """
@@ -59,27 +59,36 @@ class Symmetry:
 
     # ---- positions and states --------------------------------------------------------------------------------------
 
-    def place(self, position: Sequence[float]) -> Place:
-        """Where in the part a position of the whole body is; of two copies that meet there, in the one nearer to the part."""
-        x, copy, level = np.array(position, float), 0, 0.0
+    def places(self, position: Sequence[float]) -> list[Place]:
+        """Where a position of the whole body is beside the copies of the part that can have the nearest point to it."""
+        x, copies = np.array(position, float), {0}
         if self.sectors > 1:
-            copy = _copy(np.arctan2(x[1], x[0]) % (2 * np.pi), self._angle)
+            copy = int(np.arctan2(x[1], x[0]) // self._angle)
+            copies = {near % self.sectors for near in (copy - 1, copy, copy + 1)}
+        elif self.widths is not None:
+            part, whole = self.widths
+            copy = int(x[0] // part)
+            copies = {near for near in (copy - 1, copy, copy + 1) if 0 <= near < whole / part * (1 - SAME_PLACE)} or {0}
+        return [self._place(x, copy) for copy in sorted(copies)]
+
+    def _place(self, x: np.ndarray, copy: int) -> Place:
+        level = 0.0
+        if self.sectors > 1:
             x = self._rotation(-copy)[:len(x), :len(x)] @ x
-        if self.widths is not None:
-            copy = _copy(x[0], self.widths[0])
-            x[0] -= copy * self.widths[0]
+        elif self.widths is not None:
+            x = x - copy * self.widths[0] * np.eye(len(x))[0]
         if self.across is not None:
             level = float(x[self.across])
             x = np.delete(x, self.across)
         return Place(x, copy, level)
 
     def position(self, x: np.ndarray, place: Place) -> np.ndarray:
-        """The position in the whole body of a point that is at x in the part; it belongs to a place."""
+        """The position in the whole body of a point of the copy of a place that is at x in the part."""
         if self.across is not None:
             x = np.insert(x, self.across, place.level)
         if self.sectors > 1:
             x = self._rotation(place.copy)[:len(x), :len(x)] @ x
-        if self.widths is not None:
+        elif self.widths is not None:
             x = x + place.copy * self.widths[0] * np.eye(len(x))[0]
         return x
 
@@ -87,12 +96,10 @@ class Symmetry:
         """States (n) of the part's points along the axes of the whole body; `copy` as in Place."""
         if self.across != 1 and not (self.sectors > 1 and copy):
             return states
-        states = states.copy()
-        rotation = self._rotation(copy)
-        for name in ("stress", "fabric", "direction"):
-            if self.across == 1:
-                states[name] = states[name][:, SWAPPED_Y_Z]
-            if self.sectors > 1:
+        states = exchange_y_z(states) if self.across == 1 else states.copy()
+        if self.sectors > 1:
+            rotation = self._rotation(copy)
+            for name in TENSORS:
                 states[name] = tensors.to_voigt(rotation @ tensors.to_matrix(states[name]) @ rotation.T)
         return states
 
@@ -144,6 +151,9 @@ class Symmetry:
 WHOLE = Symmetry()                 # the part is the body
 
 
-def _copy(coordinate: float, width: float) -> int:
-    """Of copies that are so wide, each with its upper end, the number of the one with a coordinate; 0 has both ends."""
-    return max(int(np.ceil(coordinate / width - SAME_PLACE)) - 1, 0)
+def exchange_y_z(states: np.ndarray) -> np.ndarray:
+    """A copy of states (n), in which their y axis is called z and their z axis y."""
+    exchanged = states.copy()
+    for name in TENSORS:
+        exchanged[name] = states[name][:, [0, 2, 1, 4, 3, 5]]
+    return exchanged

@@ -102,30 +102,35 @@ class MaterialPoint:
     """
 
     def __init__(self, position: Sequence[float], symmetry: Symmetry = WHOLE) -> None:
-        self.symmetry, self.place = symmetry, symmetry.place(position)
-        self._found: tuple[int, int] | None = None
+        self.symmetry, self.places = symmetry, symmetry.places(position)
+        self._found: tuple[int, int, Place] | None = None
 
     def columns(self, problem: Problem) -> dict[str, float]:
         """Where it is now, x, y (, z), then POINT_COLUMNS; collective, the same on all ranks."""
         if self._found is None:
-            self._found = _nearest(problem, self.place)
-        rank, point = self._found
+            self._found = _nearest(problem, self.places)
+        rank, point, place = self._found
         row = None
         if problem.comm.rank == rank:
-            row = dict(zip("xyz", self.symmetry.position(problem.point_positions()[point], self.place)))
-            columns = point_columns(problem, slice(point, point + 1), self.symmetry, self.place.copy)
+            row = dict(zip("xyz", self.symmetry.position(problem.point_positions()[point], place)))
+            columns = point_columns(problem, slice(point, point + 1), self.symmetry, place.copy)
             row |= {name: values[0] for name, values in columns.items()}
         return problem.comm.bcast(row, root=rank)
 
 
-def _nearest(problem: Problem, place: Place) -> tuple[int, int]:
-    """Rank of the point, and its number there; of equally near points the one whose cell comes first in the mesh as given."""
-    distance = np.linalg.norm(problem.point_positions(at_start=True) - place.position, axis=1)
-    steps = np.round(distance / (SAME_DISTANCE * problem.body.size)).astype(np.int64)
-    cells = np.repeat(problem.mesh.topology.original_cell_index[:problem.cells], len(steps) // max(problem.cells, 1))
-    first = np.lexsort((cells, steps))[:1]
-    found = problem.comm.allgather([(int(steps[i]), int(cells[i]), problem.comm.rank, int(i)) for i in first])
-    return min(candidate for of_rank in found for candidate in of_rank)[2:]
+def _nearest(problem: Problem, places: Sequence[Place]) -> tuple[int, int, Place]:
+    """Rank of the point, its number there, and the place beside whose copy it is nearest.
+
+    Of equally near points it is the one whose cell comes first in the mesh as given, and of copies of a cell the first.
+    """
+    found: list[tuple[int, ...]] = []
+    x = problem.point_positions(at_start=True)
+    cells = np.repeat(problem.mesh.topology.original_cell_index[:problem.cells], len(x) // max(problem.cells, 1))
+    for number, place in enumerate(places):
+        steps = np.round(np.linalg.norm(x - place.position, axis=1) / (SAME_DISTANCE * problem.body.size)).astype(np.int64)
+        found += [(int(steps[i]), int(cells[i]), number, problem.comm.rank, int(i)) for i in np.lexsort((cells, steps))[:1]]
+    _, _, number, rank, point = min(candidate for of_rank in problem.comm.allgather(found) for candidate in of_rank)
+    return rank, point, places[number]
 
 
 class Probe(Table):
