@@ -109,6 +109,7 @@ def test_a_scale_is_given_or_the_largest_value_or_the_range_of_a_volume_fraction
     assert Quantity("q", "p").scale_of(values) == 0.6
     assert Quantity("q", "p", scale=3.0).scale_of(values) == 3
     assert Quantity("q", "phi").scale_of(values) == Quantity("q", "mean phi of core").scale_of(values) == pytest.approx(1.18)
+    assert Quantity("q", "mean p of phi").scale_of(values) == 0.6
 
 
 def test_a_table_that_lacks_something_is_refused_with_words(tmp_path):

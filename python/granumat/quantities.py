@@ -4,6 +4,7 @@ A path or scene file names them in tables [[quantity]]. What a quantity can be `
 history on a load path (here), a reaction, a probe or a mean in a boundary-value problem (fem.quantities).
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +18,7 @@ from .history import History
 QUANTITIES_FILE = "quantities.csv"
 KEYS = ("name", "of", "at", "tolerance", "scale")
 WORDS = ("end", "range")            # what `at` may be besides a list of times
+VOLUME_FRACTION = re.compile(r"(mean )?phi( |$)")
 SAME_TIME = 1e-9                    # over the larger of 1 and a time: times that differ by less are the same
 
 
@@ -65,7 +67,7 @@ class Quantity:
         """
         if self.scale is not None:
             return self.scale
-        return float(np.ptp(values) if "phi" in self.of.split() else np.abs(values).max())
+        return float(np.ptp(values) if VOLUME_FRACTION.match(self.of) else np.abs(values).max())
 
     def pick(self, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The part of a run's values that the quantity is about.

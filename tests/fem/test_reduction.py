@@ -183,6 +183,16 @@ def test_plane_strain_is_the_box(tmp_path, across):
     assert largest_difference(without(whole, "front|back|probe.* y"), without(part, "probe.* y")) < 1e-9
 
 
+@pytest.mark.parametrize("initial", ['state = "K0"\nphi = 0.60\npressure = 0.007\nK0 = 0.8', 'state = "steady"\nphi = 0.60'])
+def test_an_initial_state_has_the_axes_of_the_whole_box(tmp_path, initial):
+    text = replaced(BOX, BOX_IN_SPACE).replace('state = "isotropic"\nphi = 0.60\npressure = 0.007', initial)
+    if "steady" in initial:
+        text = text.replace("gravity = [0, 0, -0.001]\n", "").replace("pressure = 0.007\n", "")
+    _, whole = tables(tmp_path / "whole", text)
+    _, part = tables(tmp_path / "part", text.replace("kind", "plane = true\nkind", 1))
+    assert largest_difference(without(whole, "front|back|probe.* y"), without(part, "probe.* y")) < 1e-5
+
+
 @pytest.mark.parametrize(("degree", "difference"), [(1, 1e-2), (2, 1e-4)])
 def test_plane_strain_is_the_hollow_cylinder(tmp_path, degree, difference):
     text = replaced(RING, IN_SPACE).replace("[problem]", f"[problem]\ndegree = {degree}")
