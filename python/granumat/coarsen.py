@@ -30,10 +30,13 @@ class Rung:
     ----------
     name : str
     change : function of a content that returns another
+    size : float
+        Of the increments or the smallest cells, in any unit; of a sequence.
     """
 
     name: str
     change: Callable[[Content], Content]
+    size: float = 1.0
 
 
 def unchanged(content: Content) -> Content:
@@ -58,6 +61,8 @@ class Axis:
         Whether the size of what is discretised doubles from one rung to the next, so that errors can be extrapolated.
     own : Rung
         The file's own, which may be none of the rungs.
+    mesh : Rung or None
+        Of a DIMENSION: the mesh on which its rungs are compared.
     """
 
     name: str
@@ -66,6 +71,7 @@ class Axis:
     start: int = 0
     is_sequence: bool = False
     own: Rung = Rung("as in the file", unchanged)
+    mesh: Rung | None = None
 
 
 # ---- the material, of paths and scenes ----------------------------------------------------------------------------------
@@ -127,8 +133,7 @@ TOLERANCE = 1e-6                    # of path files that say nothing
 
 def path_axes(content: Content) -> list[Axis]:
     """The axes of a path file's content."""
-    increments = tuple(Rung(f"{factor:g} times as large" if factor != 1 else "as in the file", _path_increments(factor))
-                       for factor in PATH_FACTORS)
+    increments = tuple(Rung(_times(factor), _path_increments(factor), factor) for factor in PATH_FACTORS)
     distinct = [rung for number, rung in enumerate(increments)
                 if PATH_FACTORS[number] <= 1 or rung.change(content) != increments[number - 1].change(content)]
     axes = [Axis("increment", NUMERICS, tuple(distinct), min(4, len(distinct) - 1), True)] if len(distinct) > 3 else []
@@ -207,7 +212,10 @@ PLANE_FACTORS = (1 / 2, 1, 2, 4, 8)
 SOLID_FACTORS = (1, 2, 4, 8)
 SCENE_INCREMENTS = (1 / 4, 1 / 2, 1, 2, 4, 8, 16, 32)
 NEWTON = ((1e-6, 1e-3), (1e-4, 1e-2))                           # force, correction
+FIRST_FACTOR = 4                    # of the coarsest of the first three increments or meshes
 RING_GRADING = 16.0                 # what costs little and resolves the shear at the inner wall
+LARGEST_ASPECT = 4                  # of the cells of such a sector
+CHECK_FACTOR = 4                    # cells where a symmetry is checked, over the file's
 NOISE = 1e-4                        # of the initial volume fraction
 FEWEST_CELLS = {"ring": 8, "other": 2}                          # round a ring, along other directions
 
@@ -233,13 +241,15 @@ def scene_axes(content: Content) -> list[Axis]:
     names = claimed_symmetries(content)
     if names:
         words = ", ".join(SYMMETRIES[name] for name in names)
-        axes.append(Axis("dimension", DIMENSION, (Rung("as in the file", unchanged), Rung(words, _reduction(names)))))
+        everywhere = range(len(content["mesh"]["cells"]))
+        axes.append(Axis("dimension", DIMENSION, (Rung("as in the file", unchanged), Rung(words, _reduction(names))),
+                         mesh=Rung("a quarter of the cells each way", _cells(CHECK_FACTOR, everywhere))))
     problem = content.get("problem", {})
     axes.append(Axis("Newton's tolerance", NUMERICS, (Rung("as in the file", unchanged),
                                                       *(Rung(f"{force:g}, {correction:g}", _newton(force, correction))
                                                         for force, correction in NEWTON))))
-    axes.append(Axis("increment", NUMERICS, tuple(Rung(_times(factor), _scene_increment(factor)) for factor in SCENE_INCREMENTS),
-                     SCENE_INCREMENTS.index(4), True))
+    increments = tuple(Rung(_times(factor), _scene_increment(factor), factor) for factor in SCENE_INCREMENTS)
+    axes.append(Axis("increment", NUMERICS, increments, SCENE_INCREMENTS.index(FIRST_FACTOR), True))
     if content.get("mesh", {}).get("kind") in ("box", "annulus"):
         axes.append(mesh_axis(content, names))
     if problem.get("rate_term", 0) > 0:
@@ -252,17 +262,17 @@ def mesh_axis(content: Content, symmetries: Sequence[str]) -> Axis:
     mesh = content["mesh"]
     left = _directions_left(mesh, symmetries)
     factors = {1: REDUCED_FACTORS, 2: PLANE_FACTORS, 3: SOLID_FACTORS}[len(left)]
-    coarsest = 2 if len(left) == 1 else 4                       # of the first three, over the file's cells
-    grading = max(mesh.get("grading", 1.0), RING_GRADING) if mesh["kind"] == "annulus" else None
-    rungs = []
+    grading = max(mesh.get("grading", 1.0), RING_GRADING) if "axial" in symmetries else None
+    rungs: list[Rung] = []
     for factor in factors:
         change = _cells(factor, left, grading)
-        cells = change(content)["mesh"]["cells"]
+        table = change(content)["mesh"]
+        cells = table["cells"]
         if rungs and cells == rungs[-1].change(content)["mesh"]["cells"]:
             break
-        name = " x ".join(str(cells[axis]) for axis in left) + " cells" + (f", graded {grading:g}:1" if grading else "")
-        rungs.append(Rung(name, change))
-    start = min(factors.index(coarsest), len(rungs) - 1)
+        name = " x ".join(str(cells[axis]) for axis in left) + " cells" + (f", graded {table['grading']:.3g}:1" if grading else "")
+        rungs.append(Rung(name, change, _smallest_ring(table) if grading else factor))
+    start = min(factors.index(FIRST_FACTOR), len(rungs) - 1)
     own = " x ".join(str(mesh["cells"][axis]) for axis in left) + " cells, as in the file"
     return Axis("mesh", NUMERICS, tuple(rungs), start, True, Rung(own, unchanged))
 
@@ -293,7 +303,8 @@ def _reduction(symmetries: Sequence[str]) -> Callable[[Content], Content]:
     return lambda content: {**content, "mesh": {**content["mesh"], **{keys[name]: True for name in symmetries}}}
 
 
-def _cells(factor: float, left: Sequence[int], grading: float | None) -> Callable[[Content], Content]:
+def _cells(factor: float, left: Sequence[int], grading: float | None = None) -> Callable[[Content], Content]:
+    """Cells that are `factor` times as large along the directions that are left, and graded anew if that is given."""
     def change(content: Content) -> Content:
         mesh = dict(content["mesh"])
         kinds = ["ring" if mesh["kind"] == "annulus" and axis == 1 else "other" for axis in range(len(mesh["cells"]))]
@@ -301,9 +312,24 @@ def _cells(factor: float, left: Sequence[int], grading: float | None) -> Callabl
         mesh["cells"] = [max(min(fewest[axis], count), round(count / factor)) if axis in left else count
                          for axis, count in enumerate(mesh["cells"])]
         if grading is not None:
-            mesh["grading"] = grading
+            mesh["grading"] = grading ** (1 - 1 / mesh["cells"][0])                   # so that two cells are one of the next mesh
+            mesh["cells"][1] = max(mesh["cells"][1], _sectors(mesh))
         return {**content, "mesh": mesh}
     return change
+
+
+def _sectors(mesh: Mapping[str, Any]) -> int:
+    """Sectors of a ring of which one is modelled, so that it is not much wider than the innermost ring of cells.
+
+    They cost nothing, and cells that are long and thin are turned inside out when they are sheared round a ring.
+    """
+    return math.ceil(2 * math.pi * mesh["radii"][0] / (LARGEST_ASPECT * _smallest_ring(mesh)))
+
+
+def _smallest_ring(mesh: Mapping[str, Any]) -> float:
+    """Width of the innermost ring of cells, which is the smallest."""
+    widths = np.geomspace(1, mesh["grading"], mesh["cells"][0])
+    return float((mesh["radii"][1] - mesh["radii"][0]) * widths[0] / widths.sum())
 
 
 def _newton(force: float, correction: float) -> Callable[[Content], Content]:

@@ -1,5 +1,6 @@
 """How far runs are from each other and from what they converge to, and from which sign follows why."""
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -9,7 +10,9 @@ from .runs import Result
 
 ORDERS = (0.5, 2.0)                 # in the size of the increment or cell that are believed
 SAFETY = 1.25                       # on an extrapolated error
-REGULAR_RATIO = (1.3, 6.0)          # of one difference to the next, where the size is halved: what orders 0.5 to 2 give, and a little
+LEAST_RATIO, LARGEST_RATIO = 1.3, 8.0       # of a difference to the next where sizes are halved: orders 0.5 to 2 and a little
+BISECTIONS = 30                     # for the order
+TINY = 1e-300                       # instead of 0 where something is divided by it
 ROUND_OFF = 1e-10                   # relative errors below are none
 
 
@@ -51,8 +54,8 @@ def common_rows(times: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.n
     return rows, nearest[rows]
 
 
-def remainders(differences: Sequence[np.ndarray]) -> np.ndarray:
-    """Errors of the finest of runs whose size was halved each time.
+def remainders(differences: Sequence[np.ndarray], sizes: Sequence[float]) -> np.ndarray:
+    """Errors of the finest of runs with smaller and smaller cells or increments.
 
     It is Richardson's extrapolation with three cautions. The order is believed between 0.5 and 2. A difference that is smaller than
     order 2 allows after the ones before it agrees by accident and is replaced by what order 2 gives. Where the differences do not
@@ -62,28 +65,52 @@ def remainders(differences: Sequence[np.ndarray]) -> np.ndarray:
     ----------
     differences : sequence of array (quantities,)
         Between neighbours, from the coarsest to the finest.
+    sizes : sequence of float
+        Of the cells or increments, one more than the differences; each about half of the one before.
 
     Returns
     -------
     array (quantities,)
     """
-    return np.array([_remainder([float(difference) for difference in of_one]) for of_one in zip(*differences)])
+    return np.array([_remainder([float(difference) for difference in of_one], sizes) for of_one in zip(*differences)])
 
 
-def _remainder(differences: Sequence[float]) -> float:
+def _remainder(differences: Sequence[float], sizes: Sequence[float]) -> float:
     if not np.isfinite(differences).all():
         return np.inf
-    believed: list[float] = []
-    for difference in differences:
-        believed.append(max(difference, *(earlier / 4**back for back, earlier in enumerate(reversed(believed), 1)), 0.0))
-    last = believed[-1]
-    if last <= ROUND_OFF:
-        return last
+    believed = differences[0]
+    for number, difference in enumerate(differences[1:], 1):
+        believed = max(difference, believed / _ratio_of_differences(sizes[number - 1:number + 2], ORDERS[1]))
+    if believed <= ROUND_OFF:
+        return believed
     order = ORDERS[0]
-    ratios = [before / after if after > 0 else np.inf for before, after in zip(differences, differences[1:])]
-    if ratios and all(REGULAR_RATIO[0] <= ratio <= REGULAR_RATIO[1] for ratio in ratios):
-        order = float(np.clip(np.log2(ratios[-1]), *ORDERS))
-    return SAFETY * last / (2**order - 1)
+    if _fall_regularly(differences):
+        order = _order(differences[-2] / differences[-1], sizes[-3:])
+    return SAFETY * believed / ((sizes[-2] / sizes[-1]) ** order - 1)
+
+
+def _ratio_of_differences(sizes: Sequence[float], order: float) -> float:
+    """The ratio of the differences between three sizes that an order gives."""
+    coarse, middle, fine = (size**order for size in sizes)
+    return (coarse - middle) / (middle - fine)
+
+
+def _order(ratio: float, sizes: Sequence[float]) -> float:
+    """The order within ORDERS that comes next to a ratio of differences between three sizes."""
+    low, high = ORDERS
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _ratio_of_differences(sizes, middle) < ratio else (low, middle)
+    return (low + high) / 2
+
+
+def _fall_regularly(differences: Sequence[float]) -> bool:
+    """Whether each difference is smaller than the one before as the orders that are believed have it.
+
+    Only the last one may not be too small, since it may be so by accident; the first meshes may be too coarse for any order.
+    """
+    ratios = [before / after if after > 0 else np.inf for before, after in itertools.pairwise(differences)]
+    return bool(ratios) and min(ratios) >= LEAST_RATIO and ratios[-1] <= LARGEST_RATIO
 
 
 # ---- localisation -------------------------------------------------------------------------------------------------------
@@ -105,6 +132,22 @@ def keeps_narrowing(shares: Sequence[float | None]) -> bool:
         return False
     falls = -np.diff(np.log(found))
     return bool(falls[-1] > np.log(NARROWING) and falls[-1] > STEADY_NARROWING * falls[-2])
+
+
+def converge_for_sure(differences: Sequence[np.ndarray], small: np.ndarray) -> bool:
+    """Whether quantities converge beyond doubt, although the shear localises: on four meshes at least, none by accident.
+
+    Parameters
+    ----------
+    differences : sequence of array (quantities,)
+        Between neighbours, from the coarsest to the finest.
+    small : array (quantities,)
+        Errors that do not matter.
+    """
+    if len(differences) < 3:
+        return False
+    return all(_fall_regularly(of_one) or SAFETY * max(of_one) / (2**ORDERS[0] - 1) <= bound
+               for of_one, bound in zip(zip(*differences), small))
 
 
 # ---- why a run differs --------------------------------------------------------------------------------------------------
@@ -133,7 +176,7 @@ def reason(result: Result, reference: Result, kinks: Sequence[float], elastic_st
         return "its values differ"
     rows, others = common_rows(one["t"], other["t"])
     differences = {name: np.abs(one[name][rows] - other[name][others]) for name in ("p", "shear", "normal")}
-    scale = max(float(np.abs(other["p"]).max()), float(np.abs(other["shear"]).max()), np.finfo(float).tiny)
+    scale = max(float(np.abs(other["p"]).max()), float(np.abs(other["shear"]).max()), TINY)
     p, shear, normal = (differences[name].max(initial=0.0) / scale for name in ("p", "shear", "normal"))
     since = _strain_since(kinks, other["t"], other["strain"])[others]
     words = f"off by {p:.1%} (p), {shear:.1%} (shear stress), {normal:.1%} (normal stress differences), over the largest stress"
@@ -141,12 +184,12 @@ def reason(result: Result, reference: Result, kinks: Sequence[float], elastic_st
         return "the body's mean stresses are the same: it matters locally"
     if normal > 0 and max(p, shear) < CLEAR * normal:
         return f"normal stress differences: {words}"
-    if 0 < elastic_strain and shear >= max(p, CLEAR * normal) and _is_early(differences["shear"], since,
+    if elastic_strain > 0 and shear >= max(p, CLEAR * normal) and _is_early(differences["shear"], since,
                                                                            ELASTIC_STRAINS * elastic_strain):
         return f"elastic strain: the shear stress is off within {ELASTIC_STRAINS:g} e_r after a change of direction; {words}"
     if _is_early(differences["p"], since, TRANSIENT_STRAIN) and p >= CLEAR * max(shear, normal):
         return f"no transient: p is off within a strain of {TRANSIENT_STRAIN:g} after a change of direction; {words}"
-    return words
+    return f"throughout: {words}"
 
 
 def _strain_since(kinks: Sequence[float], times: np.ndarray, strain: np.ndarray) -> np.ndarray:

@@ -17,6 +17,7 @@ import numpy as np
 from . import coarsen, estimate
 from .checks import is_finite_number, is_positive_integer, refuse
 from .coarsen import CONSTANT, DIMENSION, MODEL, NUMERICS, Axis, Content, Rung
+from .estimate import TINY
 from .paths import read_toml
 from .quantities import Quantity
 from .runs import BudgetSpent, PointRunner, Result, Runner, Runs
@@ -26,12 +27,12 @@ SHARE_OF_REMAINDER = 0.15           # of the tolerance, that the extrapolated er
 SHARE_OF_STUDY = 0.25               # the same for the rung at which the other axes are studied
 NEWTON_SHARE = 0.05                 # the same for errors that are not extrapolated
 COARSER_SHARE = 0.5                 # the error of the coarsest rung below which one still coarser is looked at
-FURTHEST_REMAINDER = 0.5            # what the finest rung's may be at most, or no rung can be recommended
 LEAST_SAVING = 0.1                  # of the time, for which a cheaper rung is recommended
 MODEL_FACTOR = 1.25                 # on errors of models measured on coarse meshes
 MODELS_DIFFER = 1.5                 # one coarse mesh's error over the other's, from where a third mesh is asked
 INFLATION = 1.5                     # of predicted errors at least, after a recommendation that failed its proof
 ATTEMPTS = 5                        # recommendations that are proved before the top itself is recommended
+LOCALISES = "the shear localises: the share of the body that does half of it goes on falling with the cells"
 FEWEST_RUNS = 4                     # of a budget: the file, the top, the recommendation and one to compare
 
 
@@ -72,12 +73,15 @@ class Study:
         Why none of the rungs can be recommended; empty if one can.
     is_complete : bool
         False if the budget ended before.
+    remark : str
+        What else is to be known of the axis.
     """
 
     axis: Axis
     findings: tuple[Finding, ...]
     verdict: str = ""
     is_complete: bool = True
+    remark: str = ""
 
 
 Choice = Mapping[str, Finding]                                   # by the axis's name
@@ -177,7 +181,8 @@ class Ladder:
     runs : Runs
     """
 
-    def __init__(self, content: Content, axes: Sequence[Axis], quantities: Sequence[Quantity], tolerance: float, runs: Runs) -> None:
+    def __init__(self, content: Content, axes: Sequence[Axis], quantities: Sequence[Quantity], tolerance: float,
+                 runs: Runs) -> None:
         self.content, self.runs = content, runs
         self.axes = [axis for axis in axes if axis.kind != CONSTANT]
         self.constants = [axis for axis in axes if axis.kind == CONSTANT]
@@ -247,12 +252,13 @@ class Ladder:
 
     def _dimension(self, axis: Axis) -> Study:
         """The reduced body against the body, on the coarsest mesh; the one that is taken is the setting from here on."""
-        full, reduced = (self.run({axis.name: rung}) for rung in axis.rungs)
+        mesh = {} if axis.mesh is None else {"mesh": axis.mesh}
+        full, reduced = (self.run({axis.name: rung, **mesh}) for rung in axis.rungs)
         errors = self.errors(reduced, full)
         findings = [Finding(axis.rungs[0], self.zero, 1.0)]
         reason = "" if (errors <= SHARE_OF_STUDY * self.tolerances).all() else self.reason(reduced, full)
         if not reason and full.unstable:
-            noisy = self.runs.get(coarsen.with_noise(self.changed({axis.name: axis.rungs[0]})), f"{axis.name} with noise")
+            noisy = self.runs.get(coarsen.with_noise(self.changed({axis.name: axis.rungs[0], **mesh})), f"{axis.name} with noise")
             errors = np.maximum(errors, self.errors(noisy, full))
             if (errors > SHARE_OF_STUDY * self.tolerances).any():
                 reason = "a little noise in the initial state makes it lose its symmetry"
@@ -281,72 +287,84 @@ class Ladder:
         found: dict[int, Result] = {}
         spent = False
         try:
-            rest = self._refine(axis, found)
+            self._refine(axis, found)
+            self._coarsen(axis, found)
         except BudgetSpent:
-            spent, rest = True, self._remainder(found)
             if len(_good(found)) < 2:
                 raise
-        good = _good(found)
-        if not good:
-            return Study(axis, (Finding(axis.own, self.zero, 1.0, is_known=False),), "cannot be computed: "
-                         + next(iter(found.values())).failure)
-        finest = found[good[0]]
-        verdict = ""
-        if axis.name == "mesh" and estimate.keeps_narrowing([found[number].share for number in reversed(good)]):
-            verdict = ("localises: the share of the body that does half of the shear goes on falling with the cells. It needs a "
-                       "length or a rate term, and no mesh can be recommended")
-        elif (rest > FURTHEST_REMAINDER * self.tolerances).any():
-            verdict = "does not converge: even the finest one may be off by " + ", ".join(
-                f"{error:.2g} ({quantity.name})" for quantity, error in zip(self.quantities, rest))
-        if not verdict and not spent:
-            try:
-                self._coarsen(axis, found, rest)
-            except BudgetSpent:
-                spent = True
-        if spent:
-            self.report.undecided.append(f"{axis.name}: finer or coarser ones than {len(found)} that were run")
-        findings = [Finding(axis.rungs[number], self.errors(found[number], finest) + rest, _ratio(found[number], finest),
-                            _failure(found[number])) for number in sorted(found)
-                    if number == good[0] or not found[number].failure]
+            spent = True
+            self.report.undecided.append(f"{axis.name}: finer or coarser ones than those {len(found)}")
+        good, rest = _good(found), self._remainder(axis, found)
+        verdict = self._verdict(axis, found, rest)
         if axis.name == "mesh":
-            self.meshes = [axis.rungs[number] for number in reversed(good)][:3]
+            self.meshes = [axis.rungs[number] for number in reversed(good) if number <= axis.start][:3]
+        findings = [Finding(axis.rungs[number], self.errors(found[number], found[good[0]]) + rest, _ratio(found[number],
+                            found[good[0]])) for number in good]
         if verdict:
             self.setting[axis.name] = axis.own
-            return Study(axis, (Finding(axis.own, self.zero, 1.0, is_known=False), *findings), verdict, not spent)
+            return Study(axis, (Finding(axis.own, self.zero, 1.0, is_known=False), *findings), verdict, is_complete=not spent)
         if not spent:
-            findings += self._own(axis, finest, rest)
-        fine = [number for number in good if number <= axis.start
-                and (self.errors(found[number], finest) <= SHARE_OF_STUDY * self.tolerances).all()]
+            findings += self._own(axis, found[good[0]], rest)
+        fine = [number for number in good if number <= axis.start + 1
+                and (self.errors(found[number], found[good[0]]) <= SHARE_OF_STUDY * self.tolerances).all()]
         self.setting[axis.name] = axis.rungs[max(fine)]
-        return Study(axis, tuple(findings), is_complete=not spent)
+        remark = LOCALISES if axis.name == "mesh" and self._narrows(found) else ""
+        return Study(axis, tuple(findings), is_complete=not spent, remark=remark)
 
-    def _refine(self, axis: Axis, found: dict[int, Result]) -> np.ndarray:
-        """Run rungs of a sequence until the finest is fine enough; returns what it is off by."""
+    def _verdict(self, axis: Axis, found: Mapping[int, Result], rest: np.ndarray) -> str:
+        """Why none of a sequence's rungs can be recommended."""
+        good = _good(found)
+        failures = [_failure(result) for result in found.values() if result.failure]
+        if len(good) < 2:
+            return "no two of them can be compared: " + failures[0]
+        if axis.name == "mesh" and self._narrows(found) and not self._converges_for_sure(found):
+            return f"{LOCALISES}. It needs a length or a rate term, and no mesh can be recommended"
+        if (rest > self.tolerances).any():
+            return (f"none of them is known to be fine enough: {axis.rungs[good[0]].name} may be off by " + ", ".join(
+                f"{error:.1%} ({quantity.name})" for quantity, error in zip(self.quantities, rest))
+                + "".join(f"; a finer one {failure}" for failure in failures[-1:]))
+        return ""
+
+    def _refine(self, axis: Axis, found: dict[int, Result]) -> None:
+        """Run rungs of a sequence until the finest is fine enough, or one cannot be computed although a coarser one could."""
         for number in range(axis.start, -1, -1):
             found[number] = self.run({axis.name: axis.rungs[number]})
             good = _good(found)
-            if len(good) < 3:
-                continue
-            shares = [found[k].share for k in reversed(good)]
-            if (self._remainder(found) <= SHARE_OF_REMAINDER * self.tolerances).all() and not estimate.keeps_narrowing(shares):
+            if found[number].failure and len(good) > 1:
                 break
-        return self._remainder(found)
+            if len(good) < 3 or (self._remainder(axis, found) > SHARE_OF_REMAINDER * self.tolerances).any():
+                continue
+            if not self._narrows(found) or self._converges_for_sure(found):
+                break
 
-    def _remainder(self, found: Mapping[int, Result]) -> np.ndarray:
-        good = list(reversed(_good(found)))
-        if len(good) < 2:
-            return np.full(len(self.quantities), np.inf)
-        return estimate.remainders([self.errors(found[coarse], found[fine]) for coarse, fine in itertools.pairwise(good)])
+    def _differences(self, found: Mapping[int, Result]) -> list[np.ndarray]:
+        """Between neighbours, from the coarsest to the finest."""
+        return [self.errors(found[coarse], found[fine]) for coarse, fine in itertools.pairwise(reversed(_good(found)))]
 
-    def _coarsen(self, axis: Axis, found: dict[int, Result], rest: np.ndarray) -> None:
-        """Run coarser rungs of a sequence while they may do and save time."""
-        finest = found[_good(found)[0]]
-        for number in range(max(found) + 1, len(axis.rungs)):
+    def _remainder(self, axis: Axis, found: Mapping[int, Result]) -> np.ndarray:
+        """What the finest rung of a sequence is off by."""
+        differences, sizes = self._differences(found), [axis.rungs[number].size for number in reversed(_good(found))]
+        return estimate.remainders(differences, sizes) if differences else np.full(len(self.quantities), np.inf)
+
+    def _narrows(self, found: Mapping[int, Result]) -> bool:
+        return estimate.keeps_narrowing([found[number].share for number in reversed(_good(found))])
+
+    def _converges_for_sure(self, found: Mapping[int, Result]) -> bool:
+        return estimate.converge_for_sure(self._differences(found), SHARE_OF_REMAINDER * self.tolerances)
+
+    def _coarsen(self, axis: Axis, found: dict[int, Result]) -> None:
+        """Run coarser rungs of a sequence while they may do and save time, or are needed to tell whether it converges."""
+        for number in range(axis.start + 1, len(axis.rungs)):
+            good = _good(found)
             coarsest = found[number - 1]
-            if coarsest.failure or (self.errors(coarsest, finest) + rest > COARSER_SHARE * self.tolerances).any():
+            if coarsest.failure or len(good) < 2:
+                break
+            errors = self.errors(coarsest, found[good[0]]) + self._remainder(axis, found)
+            in_doubt = axis.name == "mesh" and self._narrows(found) and len(good) < 4
+            if not in_doubt and (errors > COARSER_SHARE * self.tolerances).any():
                 break
             found[number] = self.run({axis.name: axis.rungs[number]})
-            if found[number].seconds > (1 - LEAST_SAVING) * coarsest.seconds:
+            if found[number].seconds > (1 - LEAST_SAVING) * coarsest.seconds and not in_doubt:
                 break
 
     def _own(self, axis: Axis, finest: Result, rest: np.ndarray) -> list[Finding]:
@@ -416,6 +434,7 @@ class Ladder:
             report.undecided.append("a proof of a finer recommendation than the one that failed it")
         if not report.choice or not report.is_proved:
             self._prove(top)
+        self._keep_what_costs_nothing()
         report.alone = {quantity.name: chosen for number, quantity in enumerate(self.quantities)
                         if (chosen := choose(report.studies, self.tolerances, number)) is not None}
         report.content = self._content(report.choice)
@@ -426,6 +445,24 @@ class Ladder:
         assert report.top is not None
         report.recommended = self._run_choice(choice, "recommended")
         report.choice, report.measured = choice, self.errors(report.recommended, report.top)
+
+    def _keep_what_costs_nothing(self) -> None:
+        """Ask of each poorer model in the recommendation whether it saves time there too, or else take the richer one."""
+        report = self.report
+        for study in report.studies:
+            first, chosen = study.findings[0], report.choice[study.axis.name]
+            if study.axis.kind != MODEL or chosen is first:
+                continue
+            proved = report.choice, report.recommended, report.measured
+            assert report.recommended is not None
+            poorer = report.recommended.seconds
+            try:
+                self._prove({**report.choice, study.axis.name: first})
+            except BudgetSpent:
+                report.undecided.append(f"whether {chosen.rung.name} saves time in the recommendation")
+                return
+            if poorer < (1 - LEAST_SAVING) * report.recommended.seconds or not report.is_proved:
+                report.choice, report.recommended, report.measured = proved
 
     def _content(self, choice: Choice) -> Content:
         return self.changed({name: finding.rung for name, finding in choice.items()})
@@ -454,7 +491,7 @@ def _good(found: Mapping[int, Result]) -> list[int]:
 
 
 def _ratio(result: Result, reference: Result) -> float:
-    return result.seconds / max(reference.seconds, np.finfo(float).tiny)
+    return result.seconds / max(reference.seconds, TINY)
 
 
 def _failure(result: Result) -> str:
@@ -539,17 +576,20 @@ def climb(file: str | Path, tolerance: float, out: str | Path, budget: int | Non
         faults.append(f"budget = {budget!r}: must be an integer, at least {FEWEST_RUNS}")
     refuse("the ladder cannot be climbed", faults)
     content = read_toml(file)
-    is_scene = "mesh" in content
-    if runner is None:
-        runner = _scene_runner(file) if is_scene else PointRunner(file)
+    runner = runner or (_scene_runner(file) if is_scene(file) else PointRunner(file))
     if not runner.quantities:
         raise ValueError(f"{file} has no [[quantity]]: there is nothing to compare models by")
-    axes = (coarsen.scene_axes(content) if is_scene else coarsen.path_axes(content)) + coarsen.constants(content)
+    axes = (coarsen.scene_axes(content) if is_scene(file) else coarsen.path_axes(content)) + coarsen.constants(content)
     ladder = Ladder(content, axes, runner.quantities, tolerance, Runs(runner, out, file.parent, budget, progress))
     report = ladder.climb()
     from .ladder_report import write_report
     runner.on_one(lambda: write_report(report, file, out))
     return report
+
+
+def is_scene(file: str | Path) -> bool:
+    """Whether a file is a scene's, with a mesh, and not a path's."""
+    return "mesh" in read_toml(file)
 
 
 def _scene_runner(file: Path) -> Runner:

@@ -4,17 +4,19 @@ import csv
 import io
 import os
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .coarsen import DIMENSION, MODEL, relocated
+from .estimate import TINY
 from .ladder import LEAST_SAVING, Finding, Report, Study, predicted
 from .toml import write_content
 
 WIDTH = 132
+RECOMMENDED, FAILS, SAME = "recommended", "not good enough", "would do, costs the same"
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.25")
 
 
@@ -50,8 +52,8 @@ def time_over_file(report: Report, study: Study, finding: Finding) -> float:
     """Time of the recommendation with another rung of an axis over the file's; over the top's where the file was not run."""
     assert report.recommended is not None and report.top is not None
     reference = report.file if report.file is not None and not report.file.failure else report.top
-    ratio = finding.time / max(report.choice[study.axis.name].time, np.finfo(float).tiny)
-    return report.recommended.seconds * ratio / max(reference.seconds, np.finfo(float).tiny)
+    ratio = finding.time / max(report.choice[study.axis.name].time, TINY)
+    return report.recommended.seconds * ratio / max(reference.seconds, TINY)
 
 
 def errors_with(report: Report, study: Study, finding: Finding) -> np.ndarray:
@@ -60,29 +62,27 @@ def errors_with(report: Report, study: Study, finding: Finding) -> np.ndarray:
 
 
 def state(report: Report, study: Study, finding: Finding) -> str:
-    """What becomes of a rung: recommended, finer than needed, would do but saves too little, or not good enough."""
+    """What becomes of a rung."""
     chosen = report.choice[study.axis.name]
     if finding is chosen:
-        return "recommended"
+        return RECOMMENDED
     if not finding.is_known or (study.verdict and study.axis.kind != DIMENSION):
-        return "not recommended"
+        return "cannot be recommended"
     if (errors_with(report, study, finding) > report.tolerances).any():
-        return "not good enough"
-    if finding.time > (1 - LEAST_SAVING) * chosen.time:
-        return "does too, saves nothing" if finding.time < (1 + LEAST_SAVING) * chosen.time else "does too, takes longer"
-    return "does too"
+        return FAILS
+    if finding.time > (1 + LEAST_SAVING) * chosen.time:
+        return "more than needed"
+    return SAME if finding.time > (1 - LEAST_SAVING) * chosen.time else "predicted to do"
 
 
 def why(report: Report, study: Study, finding: Finding) -> str:
     """Why a rung is not good enough."""
-    if state(report, study, finding) != "not good enough":
+    if state(report, study, finding) != FAILS:
         return ""
     if finding.reason:
         return finding.reason
-    alone = finding.errors > report.tolerances
-    if study.axis.is_sequence:
-        return f"too coarse{'' if alone.any() else ' together with the other errors'}"
-    return "too large alone" if alone.any() else "too large together with the other errors"
+    words = "too coarse" if study.axis.is_sequence else "its error is too large"
+    return words if (finding.errors > report.tolerances).any() else f"{words} together with the other errors"
 
 
 def rows(report: Report) -> list[tuple[Study, Finding]]:
@@ -98,14 +98,14 @@ def as_csv(report: Report) -> str:
     writer.writerow(["axis", "rung", "state", "time_over_file", *(f"error_{name}" for name in names),
                      *(f"sum_{name}" for name in names), "why"])
     for study, finding in rows(report):
+        errors = [f"{error:.4g}" if finding.is_known else "" for error in finding.errors]
+        sums = [f"{error:.4g}" for error in errors_with(report, study, finding)]
         writer.writerow([study.axis.name, finding.rung.name, state(report, study, finding),
-                         f"{time_over_file(report, study, finding):.4g}",
-                         *(f"{error:.4g}" for error in finding.errors if finding.is_known), *("" for _ in names if not finding.is_known),
-                         *(f"{error:.4g}" for error in errors_with(report, study, finding)), why(report, study, finding)])
+                         f"{time_over_file(report, study, finding):.4g}", *errors, *sums, why(report, study, finding)])
     for study in report.constants:
         for finding in study.findings[1:]:
-            writer.writerow([study.axis.name, finding.rung.name, "constant", "", *(f"{error:.4g}" for error in finding.errors),
-                             *("" for _ in names), finding.reason])
+            errors = [f"{error:.4g}" for error in finding.errors]
+            writer.writerow([study.axis.name, finding.rung.name, "constant", "", *errors, *("" for _ in names), finding.reason])
     return stream.getvalue()
 
 
@@ -117,11 +117,13 @@ def in_words(report: Report, file: Path) -> str:
     head = ["axis", "rung", "time/file" if report.file is not None else "time/top", *names, ""]
     lines = [[study.axis.name if finding is study.findings[0] else "", finding.rung.name,
               f"{time_over_file(report, study, finding):.3g}", *(_percent(finding, number) for number in range(len(names))),
-              state(report, study, finding)] for study, finding in rows(report)]
+              ": ".join(filter(None, (state(report, study, finding), why(report, study, finding).split(":")[0])))]
+             for study, finding in rows(report)]
     text = [f"{file.name}: errors of each rung alone, and the time of the recommendation with it over the file's", "",
             *_aligned([head, *lines]), ""]
-    for paragraph in (*_results(report), *_next_ones(report), *_verdicts(report), *_floor(report), *_alone(report), *_limits(report)):
-        text += textwrap.wrap(paragraph, WIDTH)
+    for paragraphs in (_results, _next_ones, _verdicts, _floor, _alone, _limits):
+        for paragraph in paragraphs(report):
+            text += textwrap.wrap(paragraph, WIDTH)
     return "\n".join(text) + "\n"
 
 
@@ -137,15 +139,16 @@ def _aligned(table: list[list[str]]) -> list[str]:
 
 
 def _each(report: Report, values: np.ndarray) -> str:
-    return ", ".join(f"{quantity.name} {value:.2%}" for quantity, value in zip(report.quantities, values))
+    return ", ".join(f"{quantity.name} {value:.2%}" if np.isfinite(value) else f"{quantity.name} without a value"
+                     for quantity, value in zip(report.quantities, values))
 
 
 def _results(report: Report) -> list[str]:
     assert report.recommended is not None and report.top is not None
     words = "; ".join(f"{name} {finding.rung.name}" for name, finding in report.choice.items())
     found = [f"Recommended: {words}.",
-             f"Measured against the top of all axes: {_each(report, report.measured)}; predicted {_each(report, report.predicted)}; the "
-             f"top itself is off by at most {_each(report, report.of_top)}."]
+             f"Its error, measured against the top of all axes: {_each(report, report.measured)}.",
+             f"Predicted: {_each(report, report.predicted)}. Of this the top itself may be off by {_each(report, report.of_top)}."]
     if not report.is_proved:
         found.append("THE TOLERANCE IS NOT PROVED: no rung, not even the top, is known to be within it.")
     if report.recommended.failure:
@@ -153,11 +156,11 @@ def _results(report: Report) -> list[str]:
     if report.file is not None and report.file.failure:
         found.append(f"The file itself cannot be run to its end: {report.file.failure.splitlines()[0]}")
     elif report.file is not None:
-        ratio = report.file.seconds / max(report.recommended.seconds, np.finfo(float).tiny)
-        found.append(f"The file itself is off by {_each(report, report.of_file)}. It takes {ratio:.3g} times the recommendation's time "
-                     f"({report.file.seconds:.3g} s against {report.recommended.seconds:.3g} s).")
-        found.append(f"The ladder took {report.runs} runs and the time of {report.seconds / max(report.file.seconds, 1e-300):.3g} runs of "
-                     f"the file, or {report.seconds / max(report.recommended.seconds, 1e-300):.3g} of the recommendation.")
+        of_file, of_recommended = report.file.seconds, max(report.recommended.seconds, TINY)
+        found.append(f"The file itself is off by {_each(report, report.of_file)}. It takes {of_file / of_recommended:.3g} times "
+                     f"the recommendation's time ({of_file:.3g} s against {of_recommended:.3g} s).")
+        found.append(f"The ladder took {report.runs} runs, and the time of {report.seconds / of_file:.3g} runs of the file or "
+                     f"{report.seconds / of_recommended:.3g} of the recommendation.")
     if report.of_reduction is not None:
         found.append(f"The file with its dimension reduced differs from the file by {_each(report, report.of_reduction)}.")
     return found
@@ -168,21 +171,25 @@ def _next_ones(report: Report) -> list[str]:
     found = []
     for study in report.studies:
         chosen = report.choice[study.axis.name]
-        cheaper = [finding for finding in study.findings if finding.time < chosen.time or state(report, study, finding) ==
-                   "not good enough"]
-        failing = [finding for finding in cheaper if state(report, study, finding) == "not good enough" and finding is not chosen]
-        if failing and not study.verdict:
-            nearest = min(failing, key=lambda finding: float(np.max(finding.errors / report.tolerances)))
-            found.append(f"{study.axis.name}: {nearest.rung.name} fails ({_each(report, nearest.errors)}): "
-                         f"{why(report, study, nearest)}.")
-        same = [finding.rung.name for finding in study.findings if state(report, study, finding) == "does too, saves nothing"]
+        failing = [finding for finding in study.findings if finding is not chosen and state(report, study, finding) == FAILS]
+        for finding in [] if study.verdict else failing if study.axis.kind == MODEL else _nearest(report, failing):
+            found.append(f"{study.axis.name}: {finding.rung.name} fails ({_each(report, finding.errors)}): "
+                         f"{why(report, study, finding)}.")
+        same = [finding.rung.name for finding in study.findings if state(report, study, finding) == SAME]
         if study.axis.kind == MODEL and same:
             found.append(f"{study.axis.name}: {', '.join(same)} would do and costs the same: keep {chosen.rung.name}.")
     return found
 
 
+def _nearest(report: Report, failing: Sequence[Finding]) -> list[Finding]:
+    """The one of several findings with the least error, if there is one."""
+    return sorted(failing, key=lambda finding: float(np.max(finding.errors / report.tolerances)))[:1]
+
+
 def _verdicts(report: Report) -> list[str]:
-    return [f"{study.axis.name}: {study.verdict}." for study in report.studies if study.verdict]
+    found = [f"{study.axis.name}: {study.verdict}." for study in report.studies if study.verdict]
+    return found + [f"{study.axis.name}: {study.remark}. The quantities converge nevertheless; strains and states where it "
+                    "localises do not, and depend on the mesh." for study in report.studies if study.remark]
 
 
 def _floor(report: Report) -> list[str]:
@@ -196,8 +203,8 @@ def _floor(report: Report) -> list[str]:
     below = [f"{quantity.name} ({tolerance:.2%} against {floor:.2%})" for quantity, tolerance, floor
              in zip(report.quantities, report.tolerances, report.floor) if tolerance < floor]
     if below:
-        found.append(f"The tolerance is below the floor that these constants leave: {', '.join(below)}. Below the floor it says how "
-                     "well the equations are solved, not how well the material is known.")
+        found.append(f"The tolerance is below the floor that these constants leave: {', '.join(below)}. Below the floor it says how"
+                     " well the equations are solved, not how well the material is known.")
     return found
 
 
@@ -244,7 +251,7 @@ def draw(report: Report, title: str) -> Any:
         if len(points) > 1:
             axes.plot(*zip(*points), "o-", color=colour, markersize=4, linewidth=0.8, label=study.axis.name)
     reference = report.file if report.file is not None and not report.file.failure else report.top
-    over = max(reference.seconds, np.finfo(float).tiny)
+    over = max(reference.seconds, TINY)
     if reference is report.file and np.isfinite(report.of_file).all():
         axes.plot(1, height(report.of_file), "s", color="black", markersize=9, label="the file, measured")
     axes.plot(report.recommended.seconds / over, height(report.measured), "*", color="black", markersize=15,

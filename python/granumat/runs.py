@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TextIO, TypeVar
@@ -70,7 +70,7 @@ class Runner(Protocol):
     """Runs contents; what it gives is the same on all ranks."""
 
     quantities: list[Quantity]          # of the file
-    kinks: Sequence[float]              # pseudo-times at which what is prescribed changes its direction, the start included
+    kinks: tuple[float, ...]            # pseudo-times at which what is prescribed changes its direction, the start included
 
     def run(self, content: Content, directory: Path) -> Result:
         """Runs a content in a directory, or goes on in it; ValueError if the content is wrong."""
