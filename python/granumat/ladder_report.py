@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from .choice import LEAST_SAVING, Finding, Report, Study, predicted
 from .coarsen import DIMENSION, MODEL, relocated
 from .estimate import TINY
-from .ladder import LEAST_SAVING, Finding, Report, Study, predicted
 from .toml import write_content
 
 WIDTH = 132
