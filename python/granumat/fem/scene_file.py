@@ -201,6 +201,7 @@ def read_scene(path: str | Path) -> Scene:
     run = attempt(faults, "[run]: ", _run, content)
     output = attempt(faults, "[output]: ", _output, content, d)
     refuse(f"{path} cannot be run", faults)
+    assert material and initial is not None and mesh and settings is not None and run and output      # or there were faults
     return Scene(path, material, initial, mesh, settings, conditions, run, output)
 
 
