@@ -89,9 +89,10 @@ def test_the_scene_file_with_every_key_runs(tmp_path):
     pytest.importorskip("dolfinx")
     from granumat.fem import scene
     text = blocks("docs/scene-files.md", "toml")[0].replace("until = 120", "until = 1").replace("cells = [16, 8]", "cells = [4, 2]")
+    text = text.replace("at = [40, 120]", "at = [0.5, 1]")
     (tmp_path / "scene.toml").write_text(text)
     problem, files = scene.solve(tmp_path / "scene.toml", tmp_path / "out")
-    assert problem.t == 1 and len(files) == 4 and all(path.exists() for path in files)
+    assert problem.t == 1 and len(files) == 5 and all(path.exists() for path in files)
 
 
 def test_the_first_block_of_readme_holds_the_two_commands():

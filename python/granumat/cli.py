@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
-from . import __version__, driver
+from . import __version__, driver, quantities
 from .errors import GranumatError
 from .paths import read_path_file
 from .studies.cases import CASES
@@ -93,7 +93,8 @@ def run_point(options: argparse.Namespace) -> None:
     path = read_path_file(options.path)
     progress = driver.Progress(path.steps, sys.stderr)
     try:
-        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic)
+        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic,
+                             path.quantities)
     except GranumatError:
         print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
               f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
@@ -102,7 +103,8 @@ def run_point(options: argparse.Namespace) -> None:
     print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in PRINTED))
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
         print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in PRINTED))
-    _say_written([options.out / "history.csv", options.out / "history.png"])
+    written = ["history.csv", "history.png", *([quantities.QUANTITIES_FILE] if path.quantities else [])]
+    _say_written(options.out / name for name in written)
 
 
 def run_solve(options: argparse.Namespace) -> None:

@@ -25,6 +25,7 @@ from .errors import ConstrainedDeformationWarning, PathError
 from .history import ACOUSTIC, COLUMNS, STATE_COLUMNS, History, Recorder, state_columns, stop_condition
 from .material import Material
 from .paths import write_path_file
+from .quantities import QUANTITIES_FILE, Quantity, write_history
 from .steps import (
     CONTROLS,
     SHEAR,
@@ -48,7 +49,8 @@ CHUNK = 100                 # increments between two checks of the stop conditio
 
 
 def run(material: Material, state: np.record, steps: Sequence[Step], out: str | Path | None = None, tolerance: float = TOLERANCE,
-        progress: Callable[[int, int, int], None] | None = None, acoustic: bool = False) -> History:
+        progress: Callable[[int, int, int], None] | None = None, acoustic: bool = False,
+        quantities: Sequence[Quantity] = ()) -> History:
     """Follow a load path: run steps one after the other.
 
     Parameters
@@ -67,6 +69,8 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
     acoustic : bool
         Whether the history has the column "acoustic", the smallest eigenvalue of Material.ellipticity: 0.05 to 0.2 ms a row,
         some fifty times what the row itself takes.
+    quantities : sequence of Quantity
+        If there are some, and `out`, their values are written there into quantities.csv.
 
     Returns
     -------
@@ -97,6 +101,8 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
         directory = Path(out)
         directory.mkdir(parents=True, exist_ok=True)
         history.write_csv(directory / "history.csv")
+        if quantities:
+            write_history(directory / QUANTITIES_FILE, quantities, history)
         if failure:
             write_path_file(directory / "failing.toml", material, recorder.state, failure.increment)
     if failure:
@@ -129,7 +135,7 @@ def _run_step(recorder: Recorder, number: int, step: Step, tolerance: float,
         if len(states):
             total = gradients[first:done] + np.tensordot(amplitudes, modes, 1)
             gamma = total[:, 0, 2] if step.shear else 2 * tensors.magnitude(tensors.symmetric(total))
-            recorder.append(number, states.view(np.ndarray), gamma)
+            recorder.append(number, number - 1 + np.arange(first + 1, done + 1) / n, states.view(np.ndarray), gamma)
             stopped = condition is not None and recorder.stop_at(condition)
             largest_trace = max(largest_trace, _largest_trace(recorder.last_states, gamma))
         if stopped:

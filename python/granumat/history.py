@@ -34,11 +34,15 @@ class History:
     states : record array (n,) of dtype STATE
     columns : dict of str to array (n,)
         COLUMNS, and "acoustic" if asked for; `history["p"]` is short for `history.columns["p"]`.
+    times : array (n,)
+        Pseudo-time: the number of steps that are done. 1.5 is the middle of the second step by its increments; the end of a step is
+        its number, also where a condition ends it early.
     """
 
     material: Material
     states: np.recarray
     columns: dict[str, np.ndarray]
+    times: np.ndarray
 
     def __getitem__(self, name: str) -> np.ndarray:
         """A column (n,) by its name."""
@@ -136,6 +140,7 @@ class _Block:
     """Rows that were computed together; the accumulated shear strains are those of the whole path."""
 
     step: int
+    times: np.ndarray           # (n,)
     states: np.ndarray          # (n,) of dtype STATE
     gamma: np.ndarray           # (n,)
     gamma_total: np.ndarray     # (n,)
@@ -144,7 +149,7 @@ class _Block:
         return len(self.states)
 
     def first(self, rows: int) -> "_Block":
-        return _Block(self.step, self.states[:rows], self.gamma[:rows], self.gamma_total[:rows])
+        return _Block(self.step, self.times[:rows], self.states[:rows], self.gamma[:rows], self.gamma_total[:rows])
 
 
 class Recorder:
@@ -161,7 +166,7 @@ class Recorder:
 
     def __init__(self, material: Material, state: np.ndarray | np.record, acoustic: bool) -> None:
         self.material, self.acoustic = material, acoustic
-        self._blocks = [_Block(0, np.array(state, STATE).reshape(1), np.zeros(1), np.zeros(1))]
+        self._blocks = [_Block(0, np.zeros(1), np.array(state, STATE).reshape(1), np.zeros(1), np.zeros(1))]
 
     @property
     def state(self) -> np.void:
@@ -173,10 +178,21 @@ class Recorder:
         """The states of the rows that were appended last."""
         return self._blocks[-1].states
 
-    def append(self, step: int, states: np.ndarray, gamma: np.ndarray) -> None:
-        """Append the states (n,) after increments of a step (counted from 1) with signed shear strains gamma (n,); n > 0."""
+    def append(self, step: int, times: np.ndarray, states: np.ndarray, gamma: np.ndarray) -> None:
+        """Append the states after n increments of a step; n > 0.
+
+        Parameters
+        ----------
+        step : int
+            Counted from 1.
+        times : array (n,)
+            Pseudo-times after the increments, as in History.
+        states : array (n,) of dtype STATE
+        gamma : array (n,)
+            Signed shear strains of the increments.
+        """
         last = self._blocks[-1]
-        self._blocks.append(_Block(step, states, last.gamma[-1] + np.cumsum(gamma),
+        self._blocks.append(_Block(step, times, states, last.gamma[-1] + np.cumsum(gamma),
                                    last.gamma_total[-1] + np.cumsum(np.abs(gamma))))
 
     def stop_at(self, condition: StopCondition) -> bool:
@@ -186,6 +202,7 @@ class Recorder:
         met = np.flatnonzero(condition({name: column[-rows - 1:] for name, column in columns.items()}, self.material))
         if met.size:
             self._blocks[-1] = self._blocks[-1].first(int(met[0]) + 1)
+            self._blocks[-1].times[-1] = self._blocks[-1].step
         return bool(met.size)
 
     def history(self) -> History:
@@ -194,7 +211,7 @@ class Recorder:
         states = np.concatenate([block.states for block in self._blocks])
         if self.acoustic:
             columns[ACOUSTIC] = self.material.ellipticity(states).eigenvalue
-        return History(self.material, states.view(np.recarray), columns)
+        return History(self.material, states.view(np.recarray), columns, np.concatenate([block.times for block in self._blocks]))
 
     def _columns(self, blocks: list[_Block]) -> dict[str, np.ndarray]:
         columns = {"step": np.repeat([block.step for block in blocks], [len(block) for block in blocks]),

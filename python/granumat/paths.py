@@ -1,7 +1,7 @@
 """Path files: a material, an initial state and the steps of a load path, as TOML."""
 
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,8 +10,9 @@ import numpy as np
 
 from . import steps
 from .checks import attempt, is_finite_number, is_number, refuse
-from .history import ACOUSTIC
+from .history import ACOUSTIC, COLUMNS
 from .material import Material
+from .quantities import Quantity, are_same_times, read_quantities
 from .steps import TOLERANCE, Step
 
 Table = Mapping[str, Any]
@@ -19,7 +20,7 @@ Table = Mapping[str, Any]
 INITIAL = {
     "steady": ("phi",), "isotropic": ("phi", "pressure", "Z2"), "given": ("phi", "Z2", "fabric", "direction", "stress"),
 }
-TABLES = ("material", "initial", "step", "tolerance", "output")
+TABLES = ("material", "initial", "step", "tolerance", "quantity", "output")
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,8 @@ class PathFile:
         Largest error of fabric/kappa, Z2 and phi in a substep where stresses are held.
     acoustic : bool
         Whether the history is to have the column "acoustic".
+    quantities : sequence of Quantity
+        Columns of the history.
     """
 
     material: Material
@@ -43,6 +46,7 @@ class PathFile:
     steps: list[Step]
     tolerance: float = TOLERANCE
     acoustic: bool = False
+    quantities: Sequence[Quantity] = ()
 
 
 def read_path_file(filename: str | Path) -> PathFile:
@@ -83,9 +87,11 @@ def read_path_file(filename: str | Path) -> PathFile:
     acoustic = output.get(ACOUSTIC, False)
     if not isinstance(acoustic, bool):
         faults.append(f"[output]: {ACOUSTIC} = {acoustic!r}: must be true or false")
+    quantities = attempt(faults, "", read_quantities, content, lambda of: _check_column(of, acoustic),
+                         lambda t: _check_time(t, found))
     refuse(f"{filename} cannot be run", faults)
-    assert material is not None and state is not None            # or there were faults
-    return PathFile(material, state, found, tolerance, acoustic)
+    assert material is not None and state is not None and quantities is not None         # or there were faults
+    return PathFile(material, state, found, tolerance, acoustic, quantities)
 
 
 def read_toml(filename: str | Path) -> dict[str, Any]:
@@ -150,6 +156,30 @@ def read_initial(material: Material | None, content: Table) -> np.record | None:
     if kind == "isotropic":
         return material.isotropic(values["phi"], values.get("pressure"), values.get("Z2"))
     return material.state(values["phi"], values["Z2"], *(values.get(name) for name in ("fabric", "direction", "stress")))
+
+
+def _check_column(of: str, acoustic: object) -> None:
+    """Raises ValueError where a quantity is of no column of the history."""
+    if of == ACOUSTIC and acoustic is not True:
+        raise ValueError(f"needs {ACOUSTIC} = true in [output]")
+    if of not in (*COLUMNS[1:], ACOUSTIC):
+        raise ValueError(f"must be a column of the history, one of {', '.join(COLUMNS[1:])}")
+
+
+def _check_time(t: float, found: Sequence[Step]) -> None:
+    """Raises ValueError where no increment of the steps ends at a time."""
+    if not 0 <= t <= len(found):
+        raise ValueError(f"must be from 0 to {len(found)}, the number of steps (of cycles two each)")
+    number = int(np.ceil(t))
+    if are_same_times(t, np.round(t)):
+        return
+    step = found[number - 1]
+    if step.until:
+        raise ValueError(f"step {number} may end early, so that only its end can be met")
+    increments = (t - number + 1) * step.increments
+    if not are_same_times(increments, np.round(increments)):
+        raise ValueError(f"lies {increments:.6g} increments into step {number}, which has {step.increments}: must be the end of one"
+                         " of them")
 
 
 # ---- steps -------------------------------------------------------------------------------------------------------------

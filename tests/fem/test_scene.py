@@ -227,7 +227,7 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
 
 @pytest.mark.parametrize("path", sorted((ROOT / "demos/scenes").glob("*.toml")), ids=lambda path: path.stem)
 def test_scenes_of_the_demos_run(tmp_path, path):
-    text, count = re.subn(r"until = \d+", "until = 2", path.read_text())
+    text, count = re.subn(r"until = \d+", "until = 2", re.sub(r"at = \[.*\]", "at = [2]", path.read_text()))
     assert count == 1
     problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
     assert problem.t == 2 and problem.increments == 2
@@ -323,3 +323,47 @@ raise SystemExit(cli.main(["solve", "scene.toml", "--out", "out"]))
 """
     with pytest.raises(AssertionError, match=r"(?s)Traceback.*ValueError: only here"):
         mpirun(script, 2)
+
+
+# ---- keys that make a model cheaper ----------------------------------------------------------------------------------
+
+def solved(tmp_path, text):
+    """The problem of a scene file, and its reactions, both at the end."""
+    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
+    table = np.genfromtxt(tmp_path / "out/reactions.csv", delimiter=",", names=True)
+    return problem, {name: table[name][-1] for name in table.dtype.names}
+
+
+def test_newtons_tolerances_are_those_of_the_file(tmp_path):
+    loose = "tolerances = { force = 1e-4, correction = 1e-2 }"
+    tight, reactions = solved(tmp_path, BOX)
+    problem, near = solved(tmp_path, BOX.replace("[[condition]]", f"[problem]\n{loose}\n[[condition]]", 1))
+    assert tight.tolerances == fem.Tolerances() and problem.tolerances == fem.Tolerances(1e-4, 1e-2, 15)
+    assert near["iterations"] < reactions["iterations"]
+    assert 0 < abs(near["top_F_x"] / reactions["top_F_x"] - 1) < 1e-3
+    said = faults(tmp_path, BOX + "[problem]\ntolerances = { force = 2, iterations = 0, displacement = 1 }")
+    for words in ("force = 2: must be a number in (0, 1)", "iterations = 0", "unknown key 'displacement'"):
+        assert words in said, said
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "triangle", "hexahedron", "tetrahedron"])
+def test_a_graded_box_has_widths_in_a_geometric_series(cell):
+    d = 2 if cell in ("quadrilateral", "triangle") else 3
+    size, cells, grading = [1.0, 2.0, 0.5][:d], [4, 3, 2][:d], [8.0, 1.0, 0.25][:d]
+    mesh = fem.meshes.box(MPI.COMM_WORLD, size, cells, cell, grading)
+    for axis in range(d):
+        widths = np.diff(np.unique(mesh.geometry.x[:, axis].round(12)))
+        np.testing.assert_allclose(widths, size[axis] * np.geomspace(1, grading[axis], cells[axis])
+                                   / np.geomspace(1, grading[axis], cells[axis]).sum(), rtol=1e-9)
+    problem = fem.Problem(mesh, Material(0.5), Material(0.5).isotropic(0.6, pressure=0.01))
+    assert problem.comm.allreduce(problem.point_volumes().sum()) == pytest.approx(np.prod(size), rel=1e-12)
+
+
+def test_grading_is_given_by_a_list_or_by_axes(tmp_path):
+    for given in ("[1, 4]", "{ y = 4 }"):
+        mesh = scene_file.read_scene(written(tmp_path, BOX.replace("cells = [4, 2]", f"cells = [4, 2]\ngrading = {given}"))).mesh
+        assert mesh["grading"] == [1, 4]
+    problem, _ = scene.solve(tmp_path / "scene.toml", tmp_path / "out")
+    assert np.unique(problem.positions[:, 1].round(12)).tolist() == [0, 0.1, 0.5]
+    for given in ("4", "[1, 2, 3]", "[1, 0]", "{ z = 2 }", "{}"):
+        assert "must be 2 numbers above 0" in faults(tmp_path, BOX.replace("cells = [4, 2]", f"cells = [4, 2]\ngrading = {given}"))

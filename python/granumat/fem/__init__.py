@@ -8,8 +8,10 @@ from .errors import SolveError
 from .fields import Fields, cell_fields
 from .pictures import Pictures, field_figure
 from .problem import Problem, Tolerances
+from .quantities import Quantities
+from .symmetry import Symmetry
 from .tables import Probe, Reactions
 
-__all__ = ["Checkpoint", "Displacement", "Fields", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Reactions",
-           "SolveError", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes", "polar", "resume", "rotation",
-           "run"]
+__all__ = ["Checkpoint", "Displacement", "Fields", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Quantities",
+           "Reactions", "SolveError", "Symmetry", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes",
+           "polar", "resume", "rotation", "run"]

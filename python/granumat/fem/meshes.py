@@ -13,7 +13,8 @@ from ._compat import FacetTags, create_mesh, gmsh_reader, quiet_compiler
 CELL_SHAPES = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}
 
 
-def box(comm: MPI.Comm, size: Sequence[float], cells: Sequence[int], cell: str | None = None) -> dolfinx.mesh.Mesh:
+def box(comm: MPI.Comm, size: Sequence[float], cells: Sequence[int], cell: str | None = None,
+        grading: Sequence[float] | None = None) -> dolfinx.mesh.Mesh:
     """A rectangle (2 sizes) or a block (3), one corner at 0.
 
     Parameters
@@ -24,16 +25,31 @@ def box(comm: MPI.Comm, size: Sequence[float], cells: Sequence[int], cell: str |
         Along each side.
     cell : str, optional
         "quadrilateral" or "triangle"; "hexahedron" or "tetrahedron".
+    grading : sequence of as many floats, optional
+        Along each side, ratio of the last cell's width to the first's, which is at 0; widths form a geometric series.
 
     Raises
     ------
     ValueError
         The mesh cannot be made of the arguments.
     """
-    cell = check_box(size, cells, cell)
+    cell = check_box(size, cells, cell, grading)
     cell_type = getattr(dolfinx.mesh.CellType, cell)
     create = dolfinx.mesh.create_rectangle if len(size) == 2 else dolfinx.mesh.create_box
-    return create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), cell_type)
+    mesh = create(comm, [np.zeros(len(size)), np.asarray(size, float)], list(cells), cell_type)
+    for axis, ratio in enumerate(grading or ()):
+        if ratio != 1:
+            x = mesh.geometry.x
+            x[:, axis] = _graded(size[axis], cells[axis], ratio)[np.rint(x[:, axis] / size[axis] * cells[axis]).astype(int)]
+    return mesh
+
+
+def _graded(length: float, cells: int, grading: float) -> np.ndarray:
+    """Ends (cells + 1) of cells from 0 to a length, whose widths form a geometric series from 1 to grading, but for a factor."""
+    widths = np.geomspace(1, grading, cells)
+    ends = length * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
+    ends[-1] = length
+    return ends
 
 
 def annulus(comm: MPI.Comm, radii: Sequence[float], cells: Sequence[int], height: float | None = None, cell: str | None = None,
@@ -61,8 +77,7 @@ def annulus(comm: MPI.Comm, radii: Sequence[float], cells: Sequence[int], height
     """
     cell = check_annulus(radii, cells, height, cell, grading, angle)
     rings, sectors = cells[:2]
-    widths = np.geomspace(1, grading, rings)
-    r = radii[0] + (radii[1] - radii[0]) * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
+    r = radii[0] + _graded(radii[1] - radii[0], rings, grading)
     r[-1] = radii[1]
     rays = sectors if angle == 2 * np.pi else sectors + 1
     theta = angle * np.arange(rays) / sectors
@@ -137,11 +152,12 @@ def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | 
                   grading: float = 1.0, angle: float = 2 * np.pi) -> str:
     """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
     sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
-    return check_box(sizes[-2:] if height is None else sizes, cells, cell,
+    return check_box(sizes[-2:] if height is None else sizes, cells, cell, None,
                      radii[0] > 0 and cells[1] * 2 * np.pi >= 3 * angle > 0 and angle <= 2 * np.pi and grading > 0)
 
 
-def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None, more: bool = True) -> str:
+def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None, grading: Sequence[float] | None = None,
+              more: bool = True) -> str:
     """The name of the cells' shape; ValueError where box cannot be made of its arguments, or where `more` is false."""
     faults = []
     if len(size) not in (2, 3) or not (np.asarray(size, float) > 0).all() or not more:
@@ -151,5 +167,7 @@ def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = No
         faults.append(f"cells = {cells!r}: must be {len(size)} integers above 0")
     elif cell is not None and cell not in CELL_SHAPES[len(size)]:
         faults.append(f"cell = {cell!r}: must be one of {', '.join(CELL_SHAPES[len(size)])}")
+    if grading is not None and (len(grading) != len(size) or not all(ratio > 0 for ratio in grading)):
+        faults.append(f"grading = {grading!r}: must be {len(size)} numbers above 0")
     refuse("the mesh cannot be made", faults)
     return cell or CELL_SHAPES[len(size)][0]

@@ -12,6 +12,7 @@ from .. import tensors
 from ..checks import refuse
 from ..core import STATE
 from ..material import Material
+from ..quantities import QUANTITIES_FILE
 from . import meshes
 from ._compat import FacetTags
 from .cellwise import on_rank_0
@@ -23,7 +24,10 @@ from .fields import Fields
 from .output import Output
 from .pictures import Pictures
 from .problem import Problem
-from .scene_file import BOX_SIDES, Function, Resting, Scene, SideConditions, read_scene
+from .quantities import Quantities
+from .reduction import modelled
+from .scene_data import BOX_SIDES, Function, Resting, Scene, SideConditions
+from .scene_file import read_scene
 from .tables import Probe, Reactions
 
 ON_SIDE = 1e-6                      # over the body's size: a facet as close as that to a side's place lies on it
@@ -65,13 +69,14 @@ def resting(material: Material, volume_fraction: float, weight: float, top: floa
 
 
 def problem_of(scene: Scene, comm: MPI.Comm) -> tuple[Problem, dict[str, Where]]:
-    """The scene's Problem, and the `where` of every side that conditions hold, by name.
+    """The Problem of the part of a scene that is modelled, and the `where` of every side that conditions hold, by name.
 
     Raises
     ------
     ValueError
         A gmsh file lacks facets that conditions name.
     """
+    scene, _ = modelled(scene)
     mesh, tags, names = _make_mesh(scene.mesh, comm)
     d = mesh.geometry.dim
     size = [comm.allreduce(mesh.geometry.x[:, axis].max(initial=-np.inf), MPI.MAX) for axis in range(d)]
@@ -86,6 +91,8 @@ def problem_of(scene: Scene, comm: MPI.Comm) -> tuple[Problem, dict[str, Where]]
         wheres = {side: _side(scene.mesh, d, str(side)) for side in sides}
     conditions = [condition for entry in scene.conditions
                   for condition in _conditions(entry, wheres[entry.on], size, scene.mesh["kind"])]
+    if "angle" in scene.mesh:
+        conditions.append(_tie_of_sector(scene.mesh["angle"]))
     initial: Any = scene.initial
     if isinstance(initial, Resting):
         initial = resting(scene.material, initial.volume_fraction, initial.weight, size[-1], initial.pressure, initial.k0)
@@ -132,6 +139,12 @@ def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind
         shift[entry.periodic] = size[entry.periodic]
         conditions.append(Periodic(where, lambda x: x - shift))
     return conditions
+
+
+def _tie_of_sector(angle: float) -> Periodic:
+    """Ties the side of a sector that is at an angle to the one at the x axis, turned by the angle."""
+    return Periodic(lambda x: abs(np.arctan2(x[1], x[0]) - angle) < ON_SIDE,
+                    lambda x: np.column_stack([np.hypot(x[:, 0], x[:, 1]), 0 * x[:, 1], x[:, 2:]]), polar())
 
 
 def _displacement(components: dict[int, Function], kind: str) -> Callable[[np.ndarray, float], np.ndarray]:
@@ -197,12 +210,15 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Co
 
 def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
     """The observers that write into the directory `out` what the scene asks for."""
-    request = scene.output
+    request, (part, symmetry) = scene.output, modelled(scene)
     times = (*request.times, 0.0, scene.run.until)
     outputs: list[Output] = [Fields(out / "fields.xdmf", request.every, times)]
     if held:
-        outputs.append(Reactions(out / "reactions.csv", held, request.center))
-    outputs += [Probe(out / f"probe-{name}.csv", x) for name, x in request.probes.items()]
+        outputs.append(Reactions(out / "reactions.csv", held, request.center, symmetry=symmetry))
+    outputs += [Probe(out / f"probe-{name}.csv", x, symmetry=symmetry) for name, x in request.probes.items()]
+    if scene.quantities:
+        regions = {region.name: region for region in part.regions}
+        outputs.append(Quantities(out / QUANTITIES_FILE, scene.quantities, held, request.probes, regions, request.center, symmetry))
     return outputs + [Pictures(out, field, request.every, times) for field in request.pictures]
 
 

@@ -1,178 +1,32 @@
 """Scene files: a boundary-value problem on a standard geometry or a gmsh mesh, as TOML; read and checked."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..checks import is_number, refuse
+from ..checks import attempt, is_number, refuse
 from ..material import Material
-from ..paths import INITIAL, attempt, read_initial, read_material, read_toml, table_of
+from ..paths import INITIAL, read_initial, read_material, read_toml, table_of
+from ..quantities import Quantity, read_quantities
 from . import meshes
 from .fields import SCALAR_FIELDS
+from .problem import Tolerances
+from .quantities import read_source
+from .reduction import reduction_faults
+from .scene_data import BOX_SIDES, Function, OutputRequest, Region, Resting, RunControl, Scene, SideConditions
+from .symmetry import exchange_y_z
 
-TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output")
+TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity")
 # By kind of mesh: the keys that it needs, and those that it may have.
-MESH_KEYS = {"box": (("size", "cells"), ("cell",)), "annulus": (("radii", "cells"), ("height", "cell", "grading")),
-             "gmsh": (("file",), ())}
-# By dimension: the axis across each side of a box, and 0 or 1 where the coordinate along it is 0 or the box's size.
-BOX_SIDES = {2: {"left": (0, 0), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)},
-             3: {"left": (0, 0), "right": (0, 1), "front": (1, 0), "back": (1, 1), "bottom": (2, 0), "top": (2, 1)}}
+MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading", "layer", "plane")),
+             "annulus": (("radii", "cells"), ("height", "cell", "grading", "sector", "plane")), "gmsh": (("file",), ())}
+REDUCTIONS = ("sector", "layer", "plane")
 OPPOSITE_SIDES = ({"left", "right"}, {"front", "back"}, {"bottom", "top"})
 CARTESIAN, POLAR = ("x", "y", "z"), ("radial", "circumferential", "z")
 CONDITION_KEYS = ("displacement", "rotation", "platen", "pressure", "traction", "periodic")
 CHECKPOINT_SECONDS = 600            # between two checkpoints, if the file says nothing else
-
-
-@dataclass(frozen=True)
-class Function:
-    """A piecewise linear function of pseudo-time; constant before its first time and after its last."""
-
-    times: tuple[float, ...]
-    values: tuple[float, ...]
-
-    def __call__(self, t: float) -> float:
-        return float(np.interp(t, self.times, self.values))
-
-
-@dataclass(frozen=True)
-class Resting:
-    """An initial state at rest under gravity; its surface is the top of the mesh. Arguments of scene.resting.
-
-    Attributes
-    ----------
-    volume_fraction : float
-    weight : float
-        Of the solid per volume of the solid, in units of stress per length.
-    pressure : float
-        Vertical stress at the surface.
-    k0 : float
-        Horizontal over vertical stress.
-    """
-
-    volume_fraction: float
-    weight: float
-    pressure: float
-    k0: float
-
-
-@dataclass(frozen=True)
-class SideConditions:
-    """What holds and loads one side of the body.
-
-    Attributes
-    ----------
-    on : str or int
-        Name of the side, or of a gmsh file's facets, or their number there.
-    displacement : dict of int to Function
-        By component: x y z of a box, radial circumferential z of an annulus.
-    rotation : Function or None
-        Angle in radians.
-    center : sequence of 2 floats
-        Of the rotation.
-    platen : int or None
-        The displacement component that is the same on the whole side.
-    pressure : Function or None
-        In units of stress.
-    traction : dict of int to Function
-        By component, in units of stress.
-    periodic : int or None
-        The axis across the side, if it has the displacement of the opposite side.
-    """
-
-    on: str | int
-    displacement: dict[int, Function]
-    rotation: Function | None
-    center: Sequence[float]
-    platen: int | None
-    pressure: Function | None
-    traction: dict[int, Function]
-    periodic: int | None
-
-    @property
-    def is_held(self) -> bool:
-        """Whether displacements are prescribed or tied, so that there is a reaction."""
-        return bool(self.displacement) or self.rotation is not None or self.platen is not None
-
-    @property
-    def functions(self) -> list[Function]:
-        """All functions of pseudo-time."""
-        functions = [*self.displacement.values(), *self.traction.values()]
-        return functions + [function for function in (self.rotation, self.pressure) if function is not None]
-
-
-@dataclass(frozen=True)
-class RunControl:
-    """Arguments of control.run: end, largest increment and smallest one, in pseudo-time."""
-
-    until: float
-    increment: Function
-    smallest: float | None
-
-
-@dataclass(frozen=True)
-class OutputRequest:
-    """What is to be written.
-
-    Attributes
-    ----------
-    every : int or None
-        Increments from one record of fields and pictures to the next.
-    times : tuple of float
-        Pseudo-times of further records.
-    pictures : list of str
-        Fields to be drawn.
-    probes : dict of str to list of float
-        Positions of points at the start, by name.
-    center : list of float or None
-        Of the moments of reactions.
-    checkpoint : dict
-        Arguments of Checkpoint: every, seconds.
-    """
-
-    every: int | None
-    times: tuple[float, ...]
-    pictures: list[str]
-    probes: dict[str, list[float]]
-    center: list[float] | None
-    checkpoint: dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Scene:
-    """What a scene file says, not yet on a mesh.
-
-    Attributes
-    ----------
-    path : Path
-        Of the file.
-    material : Material
-    initial : record of dtype STATE, or Resting
-    mesh : dict
-        Its kind, and arguments of meshes.box, meshes.annulus or meshes.from_gmsh.
-    settings : dict
-        Further arguments of Problem.
-    conditions : list of SideConditions
-    run : RunControl
-    output : OutputRequest
-    """
-
-    path: Path
-    material: Material
-    initial: np.void | Resting
-    mesh: dict[str, Any]
-    settings: dict[str, Any]
-    conditions: list[SideConditions]
-    run: RunControl
-    output: OutputRequest
-
-    @property
-    def events(self) -> list[float]:
-        """Pseudo-times that the run meets exactly: kinks of the functions, and times of the output."""
-        kinks = {t for condition in self.conditions for function in condition.functions for t in function.times}
-        return sorted(t for t in kinks | set(self.output.times) if 0 < t < self.run.until)
 
 
 def read_scene(path: str | Path) -> Scene:
@@ -195,14 +49,20 @@ def read_scene(path: str | Path) -> Scene:
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
         faults.append("condition: must be tables [[condition]]")
         entries = []
-    conditions: list[SideConditions] = []
-    for number, entry in enumerate(entries, 1):
-        conditions += attempt(faults, f"condition {number}: ", _side_conditions, entry, kind, d) or []
+    conditions = [attempt(faults, f"condition {number}: ", _side_conditions, entry, kind, d)
+                  for number, entry in enumerate(entries, 1)]
     run = attempt(faults, "[run]: ", _run, content)
     output = attempt(faults, "[output]: ", _output, content, d)
+    regions = attempt(faults, "", _regions, content, d)
+    sides = None if None in conditions else [side for of_entry in conditions for side in of_entry or []]
+    quantities = attempt(faults, "", _quantities, content, d, sides, run, output, regions)
+    if mesh is not None:
+        faults += [f"[mesh]: {fault}" for fault in reduction_faults(
+            mesh, settings, initial, sides, regions or [], [quantity.of for quantity in quantities or []])]
     refuse(f"{path} cannot be run", faults)
-    assert material and initial is not None and mesh and settings is not None and run and output      # or there were faults
-    return Scene(path, material, initial, mesh, settings, conditions, run, output)
+    assert (material is not None and initial is not None and mesh is not None and settings is not None and sides is not None
+            and run is not None and output is not None and regions is not None and quantities is not None)  # or there were faults
+    return Scene(path, material, initial, mesh, settings, sides, run, output, regions, quantities)
 
 
 # ---- checks of keys and values: each appends what is wrong to faults -------------------------------------------------
@@ -267,16 +127,33 @@ def _mesh(content: dict[str, Any], directory: Path) -> dict[str, Any]:
     for name, lengths in {"size": (2, 3), "radii": (2,), "cells": (2, 3)}.items():
         if name in table and not _are_numbers(table[name], *lengths):
             faults.append(f"{name} = {table[name]!r}: must be {' or '.join(map(str, lengths))} numbers")
-    for name in ("height", "grading"):
-        _check_number(table, name, "a number above 0", lambda value: value > 0, faults)
+    _check_number(table, "height", "a number above 0", lambda value: value > 0, faults)
+    if kind == "box" and "grading" in table and not faults:
+        table = table | {"grading": _grading(table["grading"], len(table["size"]), faults)}
+    elif kind == "annulus":
+        _check_number(table, "grading", "a number above 0", lambda value: value > 0, faults)
+    faults += [f"{name} = {table[name]!r}: must be true or false" for name in REDUCTIONS
+               if not isinstance(table.get(name, False), bool)]
     if kind == "gmsh" and "file" in table and not (isinstance(table["file"], str) and (directory / table["file"]).is_file()):
         faults.append(f"file = {table['file']!r}: there is no such file")
     refuse("is wrong", faults)
     if kind == "gmsh":
         return table | {"file": directory / table["file"]}
-    arguments = {name: value for name, value in table.items() if name != "kind"}
+    arguments = {name: value for name, value in table.items() if name not in ("kind", *REDUCTIONS)}
     (meshes.check_box if kind == "box" else meshes.check_annulus)(**arguments)
     return table
+
+
+def _grading(value: object, d: int, faults: list[str]) -> list[float]:
+    """Ratios of widths along all d axes, from a list or a table by some axes."""
+    axes = CARTESIAN[:d]
+    if isinstance(value, dict) and value and all(axis in axes for axis in value):
+        value = [value.get(axis, 1.0) for axis in axes]
+    if isinstance(value, list) and _are_numbers(value, d) and min(value) > 0:
+        return value
+    faults.append(f"grading = {value!r}: must be {d} numbers above 0, the last cell's width over the first's along each axis, or a "
+                  f"table of some of {', '.join(axes)}")
+    return [1.0] * d
 
 
 def _kind_and_dimension(mesh: object) -> tuple[str | None, int | None]:
@@ -291,7 +168,7 @@ def _kind_and_dimension(mesh: object) -> tuple[str | None, int | None]:
 def _settings(content: dict[str, Any], d: int | None) -> dict[str, Any]:
     table = table_of(content, "problem")
     faults: list[str] = []
-    _check_keys(table, (), ("degree", "gravity", "rate_term", "solver"), faults)
+    _check_keys(table, (), ("degree", "gravity", "rate_term", "solver", "tolerances"), faults)
     if table.get("degree", 1) not in (1, 2):
         faults.append(f"degree = {table['degree']!r}: must be 1 or 2")
     _check_number(table, "rate_term", "a number, at least 0", lambda value: value >= 0, faults)
@@ -299,8 +176,16 @@ def _settings(content: dict[str, Any], d: int | None) -> dict[str, Any]:
         faults.append(f"gravity = {table['gravity']!r}: must be {d or '2 or 3'} finite numbers")
     if not isinstance(table.get("solver", {}), dict):
         faults.append("solver: must be a table of PETSc options")
+    tolerances = table.get("tolerances", {})
+    if not isinstance(tolerances, dict):
+        faults.append("tolerances: must be a table of force, correction and iterations")
+    else:
+        _check_keys(tolerances, (), ("force", "correction", "iterations"), faults)
+        for name in ("force", "correction"):
+            _check_number(tolerances, name, "a number in (0, 1)", lambda value: 0 < value < 1, faults)
+        _check_count(tolerances, "iterations", "iterations", faults)
     refuse("is wrong", faults)
-    return table
+    return table | {"tolerances": Tolerances(**tolerances)}
 
 
 def _initial(content: dict[str, Any], material: Material | None, kind: str | None, d: int | None,
@@ -315,7 +200,9 @@ def _initial(content: dict[str, Any], material: Material | None, kind: str | Non
     if table["state"] == "steady" and kind != "box":
         raise ValueError("[initial]: state = 'steady' is uniform shear along x, of a box only; elsewhere it is a function of "
                          "x, to be given in Python")
-    return _in_plane(state) if state is not None and table["state"] == "steady" and d == 2 else state
+    if state is not None and table["state"] == "steady" and d == 2:
+        return exchange_y_z(np.array(state).reshape(1)).view(np.recarray)[0]         # shear in x-z as shear in x-y
+    return state
 
 
 def _resting(table: dict[str, Any], material: Material | None, gravity: list[float] | None) -> Resting:
@@ -331,14 +218,6 @@ def _resting(table: dict[str, Any], material: Material | None, gravity: list[flo
     refuse("[initial]", faults)
     assert gravity is not None
     return Resting(table["phi"], -gravity[-1], table["pressure"], table.get("K0", 1.0))
-
-
-def _in_plane(state: np.void) -> np.void:
-    """A state of shear in x-z as one of shear in x-y."""
-    rotated = np.array(state).reshape(1).view(np.recarray)[0]
-    for name in ("stress", "fabric", "direction"):
-        rotated[name] = state[name][[0, 2, 1, 4, 3, 5]]
-    return rotated
 
 
 def _run(content: dict[str, Any]) -> RunControl:
@@ -382,6 +261,51 @@ def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
     refuse("is wrong", faults)
     return OutputRequest(table.get("every", None if times else 10), tuple(map(float, times)), pictures, probes, table.get("center"),
                          checkpoint)
+
+
+def _regions(content: dict[str, Any], d: int | None) -> list[Region]:
+    entries = content.get("region", [])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise ValueError("region: must be tables [[region]]")
+    faults: list[str] = []
+    regions = [attempt(faults, f"region {number}: ", _region, entry, d) for number, entry in enumerate(entries, 1)]
+    names = [entry["name"] for entry in entries if isinstance(entry.get("name"), str)]
+    faults += [f"region {name!r} is given {names.count(name)} times" for name in dict.fromkeys(names) if names.count(name) > 1]
+    if faults:
+        raise ValueError("\n".join(faults))
+    return [region for region in regions if region is not None]
+
+
+def _region(entry: dict[str, Any], d: int | None) -> Region:
+    faults: list[str] = []
+    _check_keys(entry, ("name",), ("box", "ring"), faults)
+    if not isinstance(entry.get("name", ""), str):
+        faults.append(f"name = {entry['name']!r}: must be a text in quotes")
+    if ("box" in entry) == ("ring" in entry):
+        faults.append("must have either box or ring")
+    box, ring = entry.get("box"), entry.get("ring")
+    if box is not None and not (isinstance(box, list) and len(box) == 2 and all(_are_numbers(x, *_vector_lengths(d)) for x in box)
+                                and len(box[0]) == len(box[1]) and (np.subtract(*box) < 0).all()):
+        faults.append(f"box = {box!r}: must be the lowest and the highest position, of {d or '2 or 3'} numbers each")
+    if ring is not None and not (_are_numbers(ring, 2) and 0 <= ring[0] < ring[1]):
+        faults.append(f"ring = {ring!r}: must be two radii, the smaller first")
+    refuse("is wrong", faults)
+    return Region(entry["name"], None if box is None else (box[0], box[1]), None if ring is None else (ring[0], ring[1]))
+
+
+def _quantities(content: dict[str, Any], d: int | None, sides: list[SideConditions] | None, run: RunControl | None,
+                output: OutputRequest | None, regions: list[Region] | None) -> list[Quantity]:
+    """The quantities, checked against what of the file is without faults, so that none is named twice."""
+    held = None if sides is None else list(dict.fromkeys(str(side.on) for side in sides if side.is_held))
+
+    def check_of(of: str) -> None:
+        read_source(of, d, held, None if output is None else output.probes, None if regions is None else [
+            region.name for region in regions])
+
+    def check_time(t: float) -> None:
+        if not 0 < t <= (np.inf if run is None else run.until):
+            raise ValueError("must be above 0" + ("" if run is None else f", and at most until = {run.until:g} in [run]"))
+    return read_quantities(content, check_of, check_time)
 
 
 # ---- conditions ------------------------------------------------------------------------------------------------------

@@ -12,17 +12,19 @@ from .conditions import Where
 from .fields import stress_ratio
 from .output import Output
 from .problem import Problem
+from .symmetry import WHOLE, Place, Symmetry
 
 SAME_DISTANCE = 1e-9                # over the body's size: points whose distances differ by less are equally near
+POINT_COLUMNS = (*driver.STATE_COLUMNS, "shear_strain", "volume_strain")
 
 
-class _Table(Output):
+class Table(Output):
     """One row a record; the names of the columns are the first line."""
 
     def growing_files(self) -> Sequence[Path]:
         return (self.path,)
 
-    def _append(self, comm: MPI.Comm, row: Mapping[str, float]) -> None:
+    def append_row(self, comm: MPI.Comm, row: Mapping[str, float]) -> None:
         def append() -> None:
             with open(self.path, "w" if self.written is None else "a", encoding="utf-8") as stream:
                 if self.written is None:
@@ -31,7 +33,7 @@ class _Table(Output):
         on_rank_0(comm, append)
 
 
-class Reactions(_Table):
+class Reactions(Table):
     """Force and moment that hold parts of the boundary (Problem.reaction), after every increment; also Newton's iterations.
 
     Parameters
@@ -43,12 +45,14 @@ class Reactions(_Table):
         Of the moments.
     every : int, optional
         Increments from one row to the next.
+    symmetry : Symmetry, optional
+        By which the problem's body is a part of the one whose reactions are wanted.
     """
 
     def __init__(self, path: str | Path, parts: Mapping[str, Where], center: Sequence[float] | None = None,
-                 every: int | None = None) -> None:
+                 every: int | None = None, symmetry: Symmetry = WHOLE) -> None:
         super().__init__(path, every)
-        self.parts, self.center = dict(parts), center
+        self.parts, self.center, self.symmetry = dict(parts), center, symmetry
 
     def write(self, problem: Problem) -> None:
         if problem.last is not None:                             # before that there is no reaction
@@ -58,17 +62,82 @@ class Reactions(_Table):
         assert problem.last is not None
         row: dict[str, float] = {"t": problem.t, "iterations": len(problem.last.residuals) - 1}
         for name, where in self.parts.items():
-            force, moment = problem.reaction(where, self.center)
+            force, moment = self.symmetry.reaction(problem, where, self.center)
             row |= {f"{name}_F_{axis}": value for axis, value in zip("xyz", force)}
-            row |= {f"{name}_M": moment} if problem.d == 2 else {f"{name}_M_{axis}": m for axis, m in zip("xyz", moment)}
-        self._append(problem.comm, row)
+            row |= {f"{name}_M": moment} if len(force) == 2 else {f"{name}_M_{axis}": m for axis, m in zip("xyz", moment)}
+        self.append_row(problem.comm, row)
 
 
-class Probe(_Table):
+def point_columns(problem: Problem, points: np.ndarray | slice, symmetry: Symmetry = WHOLE,
+                  copy: int = 0) -> dict[str, np.ndarray]:
+    """State and strains of this rank's points.
+
+    Parameters
+    ----------
+    problem : Problem
+    points : int array (n), bool array or slice
+    symmetry : Symmetry, optional
+    copy : int, optional
+        Of the part, as in Place; its axes are turned with it.
+
+    Returns
+    -------
+    dict of str to array (n)
+        POINT_COLUMNS: driver.STATE_COLUMNS, of which stress_ratio is abs(sigma')/p here, then shear_strain and volume_strain
+        (extension positive).
+    """
+    columns = driver.state_columns(problem.material, symmetry.states(problem.states[points], copy))
+    return columns | {"stress_ratio": stress_ratio(problem.states["stress"][points]), "shear_strain": problem.shear_strain[points],
+                      "volume_strain": problem.volume_strain[points]}
+
+
+class MaterialPoint:
+    """The integration point that is nearest to a position at the start.
+
+    Parameters
+    ----------
+    position : sequence (d)
+        In the whole body.
+    symmetry : Symmetry, optional
+    """
+
+    def __init__(self, position: Sequence[float], symmetry: Symmetry = WHOLE) -> None:
+        self.symmetry, self.places = symmetry, symmetry.places(position)
+        self._found: tuple[int, int, Place] | None = None
+
+    def columns(self, problem: Problem) -> dict[str, float]:
+        """Where it is now, x, y (, z), then POINT_COLUMNS; collective, the same on all ranks."""
+        if self._found is None:
+            self._found = _nearest(problem, self.places)
+        rank, point, place = self._found
+        row = None
+        if problem.comm.rank == rank:
+            row = dict(zip("xyz", self.symmetry.position(problem.point_positions()[point], place)))
+            columns = point_columns(problem, slice(point, point + 1), self.symmetry, place.copy)
+            row |= {name: values[0] for name, values in columns.items()}
+        return problem.comm.bcast(row, root=rank)
+
+
+def _nearest(problem: Problem, places: Sequence[Place]) -> tuple[int, int, Place]:
+    """Rank of the point, its number there, and the place beside whose copy it is nearest.
+
+    Of equally near points it is the one whose cell comes first in the mesh as given, and of copies of a cell the first.
+    """
+    found: list[tuple[int, ...]] = []
+    x = problem.point_positions(at_start=True)
+    cells = np.repeat(problem.mesh.topology.original_cell_index[:problem.cells], len(x) // max(problem.cells, 1))
+    for number, place in enumerate(places):
+        steps = np.round(np.linalg.norm(x - place.position, axis=1) / (SAME_DISTANCE * problem.body.size)).astype(np.int64)
+        found += [(int(steps[i]), int(cells[i]), number, problem.comm.rank, int(i)) for i in np.lexsort((cells, steps))[:1]]
+    _, _, number, rank, point = min(candidate for of_rank in problem.comm.allgather(found) for candidate in of_rank)
+    return rank, point, places[number]
+
+
+class Probe(Table):
     """State and strains of a material point: the integration point that is nearest to a position at the start.
 
-    Columns are t, x, y (, z), where it is now, then driver.STATE_COLUMNS, of which stress_ratio is abs(sigma')/p here, then
-    shear_strain and volume_strain (extension positive).
+    Columns are t, x, y (, z), where it is now, then POINT_COLUMNS: driver.STATE_COLUMNS, of which stress_ratio is abs(sigma')/p
+    here, then shear_strain and volume_strain (extension positive).
 
     Parameters
     ----------
@@ -76,31 +145,14 @@ class Probe(_Table):
     position : sequence (d)
     every : int, optional
         Increments from one row to the next.
+    symmetry : Symmetry, optional
+        By which the problem's body is a part of the one that the position is in.
     """
 
-    def __init__(self, path: str | Path, position: Sequence[float], every: int | None = None) -> None:
+    def __init__(self, path: str | Path, position: Sequence[float], every: int | None = None,
+                 symmetry: Symmetry = WHOLE) -> None:
         super().__init__(path, every)
-        self.position = np.asarray(position, float)
-        self._point: tuple[int, int] | None = None
+        self.point = MaterialPoint(position, symmetry)
 
     def _write(self, problem: Problem) -> None:
-        if self._point is None:
-            self._point = self._nearest(problem)
-        rank, point = self._point
-        row = None
-        if problem.comm.rank == rank:
-            row = {"t": problem.t} | dict(zip("xyz", problem.point_positions()[point]))
-            columns = driver.state_columns(problem.material, problem.states[point:point + 1])
-            row |= {name: values[0] for name, values in columns.items()}
-            row |= {"stress_ratio": stress_ratio(problem.states["stress"][point]), "shear_strain": problem.shear_strain[point],
-                    "volume_strain": problem.volume_strain[point]}
-        self._append(problem.comm, problem.comm.bcast(row, root=rank))
-
-    def _nearest(self, problem: Problem) -> tuple[int, int]:
-        """Rank of the point, and its number there; of equally near points the one whose cell comes first in the mesh as given."""
-        distance = np.linalg.norm(problem.point_positions(at_start=True) - self.position, axis=1)
-        steps = np.round(distance / (SAME_DISTANCE * problem.body.size)).astype(np.int64)
-        cells = np.repeat(problem.mesh.topology.original_cell_index[:problem.cells], len(steps) // max(problem.cells, 1))
-        first = np.lexsort((cells, steps))[:1]
-        found = problem.comm.allgather([(int(steps[i]), int(cells[i]), problem.comm.rank, int(i)) for i in first])
-        return min(candidate for of_rank in found for candidate in of_rank)[2:]
+        self.append_row(problem.comm, {"t": problem.t} | self.point.columns(problem))
