@@ -535,7 +535,7 @@ class Material:
         targets : array (n + 1, m)
             Values of these sums at the start and after each increment, linear in between.
         tolerance : float
-            Largest error of fabric/kappa, Z2 and phi in a substep; without free modes there are none.
+            As in driver.run; without free modes there are no substeps.
 
         Returns
         -------
