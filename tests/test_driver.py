@@ -123,7 +123,7 @@ def test_steps_of_the_critical_closure_are_cut_by_what_evolves_in_it(elastic_str
     seconds, ends = {}, {}
     for closure in ("critical", "full"):
         material = Material(0.5, closure, elastic_strain=elastic_strain)
-        state = material.isotropic(0.60) if closure == "critical" else material.isotropic(0.60, pressure=0.01)
+        state = material.isotropic(0.60, pressure=0.01)
         for tolerance in (1e-7, 1e-6, 1e-6, 1e-6):
             start = time.thread_time()
             history = driver.run(material, state, [make(0.05)], tolerance=tolerance)
