@@ -12,6 +12,8 @@ from granumat.studies import bench, rate_form
 
 NUMBER = r"([-+0-9.einfa]+)"
 
+pytestmark = pytest.mark.release_only          # what the debug build costs is nothing to know
+
 
 @pytest.fixture(scope="module")
 def printed():

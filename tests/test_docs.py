@@ -23,6 +23,8 @@ README, DOCS = ROOT / "README.md", ROOT / "docs"
 PAGES = {str(path.relative_to(ROOT)): path.read_text() for path in (README, *sorted(DOCS.rglob("*.md")))}
 PROGRAM = re.compile(r"^```python\n(.*?)^```\n(?:\n```\n(.*?)^```$)?", re.M | re.S)          # and what it prints
 
+pytestmark = pytest.mark.release_only
+
 
 def blocks(page, language):
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGES[page], re.M | re.S)
@@ -172,6 +174,7 @@ def test_the_chart_page_names_the_cases():
 
 # ---- the site --------------------------------------------------------------------------------------------------------
 
+@pytest.mark.slow
 def test_the_site_builds_without_a_warning(tmp_path):
     built = subprocess.run([DOCS / "build.sh", tmp_path], capture_output=True, text=True)
     assert built.returncode == 0, built.stdout + built.stderr

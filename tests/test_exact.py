@@ -140,3 +140,32 @@ def test_a_stress_that_does_not_relax_turns_with_the_spin():
 @pytest.mark.parametrize("elastic_strain", [1e-2, 1e-3, STIFF])
 def test_error_stays_below_1e_8_from_an_isotropic_packing(elastic_strain, shear):
     assert max(errors(8, 100, shear, elastic_strain=elastic_strain, isotropic=True).values()) < 1e-8
+
+
+@pytest.mark.parametrize("contact", ["hookean", "hertzian"])
+@pytest.mark.parametrize("elastic_strain", [0.0, 1e-1, 1e-2])
+@pytest.mark.parametrize(("shear", "spin"), [(1e-3, 1.0), (0.02, 1.0), (0.5, 1.0), (0.02, 30.0)])
+def test_the_critical_closure_is_exact(contact, elastic_strain, shear, spin):
+    c = reference.constants(0.5, "n2") | {"elastic_strain": elastic_strain}
+    rng = np.random.default_rng(11)
+    fabric, z2, phi, gradient = reference.random_increments(rng, 60, 0.5, shear, spin=spin)
+    deviator = reference.scale(2e-3 * rng.random(60), fabric / 0.04)
+    direction, p, dev = reference.integrate_critical(c, phi, gradient, deviator, contact)
+    old = np.zeros(60, STATE)
+    old["fabric"], old["coordination_number"], old["volume_fraction"] = tensors.to_voigt(fabric), z2, phi
+    old["stress"] = -tensors.to_voigt(deviator)
+    material = Material(0.5, "critical", contact, elastic_strain=elastic_strain)
+    new = material.update(old, gradient)
+    sigma = tensors.to_voigt(dev + reference.scale(p, np.eye(3)))
+    limit = 1e-9 if contact == "hertzian" and elastic_strain > 0 and shear > 0.1 else 5e-12             # phi nears phic
+    assert (np.abs(new.stress + sigma).max(1) / np.abs(sigma).max(1)).max() < limit
+    np.testing.assert_allclose(new.fabric, tensors.to_voigt(direction), rtol=0, atol=1e-14)
+
+
+def test_without_elastic_strain_any_increment_of_the_critical_closure_is_one_step():
+    material = Material(0.5, "critical")
+    state = np.array([material.steady(0.60)])
+    gradient = np.array([[[0.1, 0, 1e6], [0, 0, 0], [0, 0, -0.1]]])
+    whole, twice = material.update(state, gradient), material.update(material.update(state, gradient / 2), gradient / 2)
+    np.testing.assert_allclose(whole["stress"], twice["stress"], rtol=1e-12)
+    assert np.isfinite(material.update_with_tangent(state, gradient)[1]).all()

@@ -75,10 +75,28 @@ def test_hertzian_pressure_is_the_hookean_to_the_power_three_halves():
     assert hertzian == pytest.approx(hookean**1.5, rel=1e-13)
 
 
-def test_isotropic_state_has_the_pressure_asked_for():
-    for contact in ("hookean", "hertzian"):
-        state = Material(0.3, contact=contact).isotropic(0.62, pressure=0.01)
-        np.testing.assert_allclose(state.stress, [-0.01] * 3 + [0] * 3, rtol=1e-13, atol=1e-18)
+@pytest.mark.parametrize("contact", ["hookean", "hertzian"])
+@pytest.mark.parametrize("closure", ["critical", "basic", "n2", "full", "kinematic"])
+def test_isotropic_state_has_the_pressure_asked_for_in_every_closure(closure, contact):
+    state = Material(0.3, closure, contact).isotropic(0.62, pressure=0.001)
+    np.testing.assert_allclose(state.stress, [-0.001] * 3 + [0] * 3, rtol=1e-13, atol=1e-18)
+
+
+def test_the_critical_closure_takes_phi_from_the_pressure_or_the_coordination_number():
+    material = Material(0.5, "critical")
+    c = material.constants
+    state = material.isotropic(0.60, pressure=0.01)
+    assert state.volume_fraction == pytest.approx(c["phic"] + 0.01 / ((c["a1"] + c["a2"] * c["kappa"]) * c["beta1"]**2))   # (A 11)
+    again = material.isotropic(0.55, coordination_number=state.coordination_number)
+    assert again.volume_fraction == pytest.approx(state.volume_fraction, rel=1e-14)
+    for given, expected in ((0.55, 0.55), (0.60, c["phic"])):                       # no pressure up to phic
+        assert material.isotropic(given, pressure=0.0).volume_fraction == expected
+    with pytest.raises(ValueError, match="needs phi = 2.*in the critical closure"):
+        material.isotropic(0.60, pressure=1.0)
+    with pytest.raises(ValueError, match=r"volume_fraction = 60: must be in \(0, 1\)"):
+        material.isotropic(60, pressure=0.01)
+    with pytest.raises(ValueError, match="give either"):
+        material.isotropic(0.6, pressure=0.01, coordination_number=5.0)
 
 
 def test_b1_term_raises_the_isotropic_pressure():

@@ -93,11 +93,25 @@ def test_a_state_starts_from_the_pressure_in_props_else_from_stress_else_from_ph
     assert_is_state(call(stress, np.zeros(N_STATEV), engineering(gradient), props), material.update(state, gradient), 1e-12)
 
 
-def test_the_critical_closure_starts_from_phi_alone():
+def test_the_critical_closure_starts_from_phi_where_no_pressure_is_given():
     material, props = material_and_props("critical")
     result = call(np.zeros(6), np.zeros(N_STATEV), np.zeros(6), props)
     pressure = (material["a1"] + material["a2"] * material["kappa"]) * material["beta1"] ** 2 * (0.60 - material["phic"])   # (A 11)
     np.testing.assert_allclose(result.stress / UNIT, -pressure * tensors.IDENTITY, rtol=0, atol=1e-16)
+
+
+@pytest.mark.parametrize("contact", CONTACTS)
+@pytest.mark.parametrize("given", ["pressure in PROPS", "STRESS"])
+def test_a_given_pressure_holds_in_the_critical_closure_too_and_phi_follows(contact, given):
+    material, props = material_and_props("critical", contact)
+    stress = np.zeros(6)
+    if given == "STRESS":
+        stress[:3] = -0.004 * UNIT
+    else:
+        props[6] = 0.004 * UNIT
+    result = call(stress, np.zeros(N_STATEV), np.zeros(6), props)
+    np.testing.assert_allclose(result.stress / UNIT, -0.004 * tensors.IDENTITY, rtol=0, atol=1e-16)
+    assert_is_state(result, material.isotropic(0.60, pressure=0.004), 1e-14)
 
 
 def test_a_start_keeps_the_deviator_of_the_stress_handed_in():

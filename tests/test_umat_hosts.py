@@ -218,7 +218,8 @@ def failures():
         "negative e_r": {"props": changed(PROPS, 4, -0.01)},
         "initial phi 1.2": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 5, 1.2)},
         "initial pressure below 0": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 6, -1.0)},
-        "a pressure for the critical closure": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 2, 0.0)},
+        "a pressure that the critical closure has not below phi = 1":
+            {"statev": np.zeros(N_STATEV), "props": changed(changed(PROPS, 2, 0.0), 6, 1.0 * PROPS[1])},
         "spin 5": {"props": changed(PROPS, 7, 5.0)},
         "calibration 3": {"props": changed(PROPS, 8, 3.0)},
         "DROT no rotation": {"props": changed(PROPS, 7, 1.0), "drot": 1.1 * EYE},

@@ -169,23 +169,27 @@ contains
     real(dp), intent(in) :: R(LANES, 3, 3)
     real(dp), intent(out) :: W(LANES, 3, 3)
     logical, intent(out) :: found(LANES)
-    real(dp) :: sine(LANES), cosine(LANES), square(LANES, 3, 3), factor(LANES)
+    real(dp) :: sine(LANES), cosine(LANES), product(LANES), factor(LANES)
     integer :: i, j
 
     do j = 1, 3
       do i = 1, 3
         W(:, i, j) = (R(:, i, j) - R(:, j, i)) / 2
-        square(:, i, j) = sum(R(:, :, i) * R(:, :, j), 2)
       end do
     end do
     sine = sqrt(W(:, 1, 2)**2 + W(:, 1, 3)**2 + W(:, 2, 3)**2)
     cosine = (trace_of(R) - 1) / 2
-    found = maxval(maxval(abs(square - identity()), 3), 2) < ROTATION_ERROR &
-      .and. abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR &    ! false of a reflection
+    found = abs(sine**2 + cosine**2 - 1) < ROTATION_ERROR &    ! false of a reflection
       .and. (sine > 0 .or. cosine > 0)                         ! false of half a turn
     factor = 1
     where (sine > 0) factor = atan2(sine, cosine) / sine
-    W = W * spread(spread(factor, 2, 3), 3, 3)
+    do j = 1, 3
+      do i = 1, 3
+        product = R(:, 1, i) * R(:, 1, j) + R(:, 2, i) * R(:, 2, j) + R(:, 3, i) * R(:, 3, j)
+        found = found .and. abs(product - merge(1, 0, i == j)) < ROTATION_ERROR
+        W(:, i, j) = factor * W(:, i, j)
+      end do
+    end do
   end subroutine rotation_logarithm
 
   !> R of F = R U: N. J. Higham, SIAM J. Sci. Stat. Comput. 7 (1986) 1160-1174.

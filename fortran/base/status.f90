@@ -58,7 +58,7 @@ contains
     case (BAD_SENTINEL)
       message = "STATEV(1) is neither 0 (the state starts) nor 1 (it has): the states are not this material's"
     case (BAD_INITIAL_STATE)
-      message = "initial state: phi must be in (0, 1), the pressure not negative, and 0 in PROPS for the critical closure"
+      message = "initial state: phi must be in (0, 1), also where it follows from the pressure, and the pressure not negative"
     case (BAD_DEFORMATION)
       message = "DROT, or DFGRD0 and DFGRD1, that PROPS asks for are missing, no deformation, or turn by more than 3 in one step"
     case (PLANE_STRESS)

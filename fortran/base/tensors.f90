@@ -11,7 +11,8 @@ module granumat_tensors
   private
   public :: trace, deviator, to_voigt, contract, magnitude, safe_magnitude, times, times_spin, add_identity, &
     product_symmetric, product_deviator, product_matrix, corotate, spin_derivative, commutator_of_spins, &
-    rotation, small_rotation, rotation_series, rotate, rotation_of_deviators, matrix_times, transposed_times, strain_and_spin
+    rotation, rotation_angle, small_rotation, rotation_series, rotate, rotation_of_deviators, matrix_times, transposed_times, &
+    strain_and_spin
 
   !> Voigt component of the tensor component i, j.
   integer, parameter, public :: VOIGT(3, 3) = reshape([1, 4, 5, 4, 2, 6, 5, 6, 3], [3, 3])
@@ -182,7 +183,7 @@ contains
     real(dp), intent(in) :: w(LANES, 3)
     real(dp) :: R(LANES, 3, 3), angle(LANES), first(LANES), second(LANES)
 
-    angle = sqrt(w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2)
+    angle = rotation_angle(w)
     first = 1
     second = 0.5_dp
     where (angle > 0)
@@ -191,6 +192,13 @@ contains
     end where
     R = rotation_of(w, first, second)
   end function rotation
+
+  !> The angle of the rotation exp(W).
+  pure function rotation_angle(w) result(angle)
+    real(dp), intent(in) :: w(LANES, 3)
+    real(dp) :: angle(LANES)
+    angle = sqrt(w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2)
+  end function rotation_angle
 
   !> The rotation exp(W) for angles up to 0.2, in vector instructions.
   pure function small_rotation(w) result(R)

@@ -9,7 +9,7 @@ module granumat_fabric
   use granumat_law, only: linear_fabric_rate
   use granumat_parameters, only: material_parameters
   use granumat_quadrature, only: N_NODES
-  use granumat_tensors, only: SQRT_3, contract, times
+  use granumat_tensors, only: SQRT_3, contract, rotation_angle, times
   implicit none (type, external)
   private
   public :: solve_fabric, adjoint_fabric, fabric_rate_bound, fabric_at, projections_at
@@ -36,7 +36,7 @@ contains
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: mod_D(LANES), w(LANES, 3)
     real(dp) :: rate(LANES)
-    rate = (abs(par%c2) + sqrt(-2 * par%c1 * par%c3)) * mod_D + 2 * sqrt(w(:, 1)**2 + w(:, 2)**2 + w(:, 3)**2)
+    rate = (abs(par%c2) + sqrt(-2 * par%c1 * par%c3)) * mod_D + 2 * rotation_angle(w)
   end function fabric_rate_bound
 
   !> Solves (4.7) over one increment, to round-off for a fabric_rate_bound of at most 1.

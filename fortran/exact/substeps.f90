@@ -13,7 +13,8 @@ module granumat_substeps
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
   use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
-  use granumat_tensors, only: magnitude, matrix_times, rotation_of_deviators, small_rotation, times, times_spin
+  use granumat_tensors, only: magnitude, matrix_times, rotation_angle, rotation_of_deviators, &
+    small_rotation, times, times_spin
   implicit none (type, external)
   private
   public :: integrate, take_substep
@@ -25,6 +26,8 @@ module granumat_substeps
   real(dp), parameter :: SUBSTEP_RATE = 0.4_dp
   ! with e_r > 0 substeps are smaller by this: the interpolation in the kernel has half the order of Gauss's rule
   real(dp), parameter :: RELAXATION_REFINEMENT = 1.5_dp
+  ! in the critical-state closure only spin and volume strain change the model's stress, and these rates are tight
+  real(dp), parameter :: CRITICAL_REFINEMENT = 6
   real(dp), parameter :: ISOTROPIC_BELOW = 1.0e-12_dp    ! |A| below which the fabric starts from A = 0, where |A| is smooth in t
   ! distances to a kink below which substeps no longer shrink: |A|, Z2 - Zc, ln(phi/phic)
   real(dp), parameter :: SMALLEST_FABRIC = 1.0e-5_dp, SMALLEST_EXCESS = 1.0e-3_dp, SMALLEST_LOG_PHI = 1.0e-6_dp
@@ -70,15 +73,25 @@ module granumat_substeps
 
 contains
 
-  !> Integrates an increment. It is split where phi crosses phic, and each part is taken in substeps.
-  pure subroutine integrate(par, inc, x, status, record)
+  !> Integrates an increment. It is split where phi crosses phic, and each part is taken in substeps; nothing needs to be
+  !! integrated in the critical-state closure with e_r = 0.
+  pure subroutine integrate(par, inc, phi_end, x, status, record)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
+    real(dp), intent(in) :: phi_end(LANES)
     type(internal_state), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
     type(substep_record), intent(inout) :: record
     real(dp), dimension(LANES) :: log_phi_end, crossing
 
+    if (par%closure == CRITICAL .and. .not. par%elastic_strain > 0) then
+      call critical_state(par, inc%S_hat, phi_end, x%A, x%excess)
+      x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
+      record%solution%share = 1
+      record%solution%phi_end = phi_end
+      record%steps = 1
+      return
+    end if
     x%log_phi = log(merge(x%phi / par%phic, 2.0_dp, status == OK))
     log_phi_end = x%log_phi - inc%tr_D
     crossing = 1
@@ -140,7 +153,8 @@ contains
     record%steps = n + 1
   end subroutine add_start
 
-  !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2 and phi can change where the law is smooth.
+  !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2 and phi can change where the law is smooth; in the
+  !! critical-state closure, of the model's stress in a frame that rotates with the spin.
   !!
   !! The factor 2 keeps d2 |D|, |tr D| and the angle of a substep at or below SUBSTEP_RATE/2 = 0.2, up to where `exponential` and
   !! `rotation_series` are exact to round-off.
@@ -149,7 +163,11 @@ contains
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: mod_A(LANES)
     real(dp) :: rate(LANES)
-    rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
+    if (par%closure == CRITICAL) then
+      rate = CRITICAL_REFINEMENT * 2 * (rotation_angle(inc%spin) + abs(inc%tr_D))
+    else
+      rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
+    end if
   end function rate_bound
 
   !> The rate bound near kinks, so that substeps shrink with the distance to them.
@@ -173,6 +191,7 @@ contains
     if (par%elastic_strain > 0) then
       rate = RELAXATION_REFINEMENT * rate
       where (x%log_phi > 0 .or. log_phi_end > 0) rate = max(rate, 4 * abs(volume_rate) / max(x%log_phi, SMALLEST_LOG_PHI))
+      if (par%closure == CRITICAL) return
       near_isotropy = abs(par%c1) * inc%mod_D / max(mod_A, SMALLEST_FABRIC)
       where (mod_A < ISOTROPIC_BELOW) near_isotropy = 0
       near_jamming = ((abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess)) * inc%mod_D + abs(par%d3 * inc%tr_D)) &

@@ -93,7 +93,7 @@ contains
     new%volume_fraction = old%volume_fraction * exp(-inc%tr_D)
     where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
     record%all_wanted = present(tangent)
-    call integrate(par, inc, x, status, record)
+    call integrate(par, inc, new%volume_fraction, x, status, record)
     if (present(tangent)) call consistent_tangent(par, inc, x, record, n_adjoints, tangent)
     call to_state(par, inc, x, new, status)
   end subroutine deform

@@ -8,7 +8,7 @@ module granumat_path
   use granumat_batch, only: update_batch, update_batch_by_method
   use granumat_matrices, only: solve_linear
   use granumat_methods, only: is_exact, scheme, update_by_method
-  use granumat_parameters, only: material_parameters, are_valid
+  use granumat_parameters, only: material_parameters, are_valid, CRITICAL
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_PARAMETERS, TARGET_NOT_REACHED
   use granumat_tangent, only: N_COLUMNS
@@ -54,7 +54,7 @@ contains
     real(dp), intent(in) :: mode(:, :, :)          ! (3, 3, m), m <= MAX_MODES
     real(dp), intent(in) :: functional(:, :)       ! (6, m)
     real(dp), intent(in) :: target(:, 0:)          ! (m, 0:n): at the start and after each increment, linear between
-    real(dp), intent(in) :: tolerance              ! on fabric/kappa, Z2 and phi in every substep
+    real(dp), intent(in) :: tolerance              ! on what evolves, see distance, in every substep
     type(material_state), intent(out) :: states(:) ! (n): after each increment
     real(dp), intent(out) :: amplitude(:, :)       ! (m, n): found in each increment
     integer, intent(out) :: done, status           ! increments done; OK or why there are fewer than n
@@ -162,13 +162,20 @@ contains
 
   end subroutine controlled_increment
 
-  !> The largest difference of states in fabric/kappa, Z2 and phi.
+  !> The largest difference of states in what evolves: phi, fabric/kappa and Z2; in the critical-state closure, where A and Z2
+  !! follow from D^ and phi, phi and, with e_r > 0, the stress over its largest component.
   pure function distance(par, x, y) result(difference)
     type(material_parameters), intent(in) :: par
     type(material_state), intent(in) :: x, y
     real(dp) :: difference
-    difference = max(maxval(abs(x%fabric - y%fabric)) / par%kappa, &
-      abs(x%coordination_number - y%coordination_number), abs(x%volume_fraction - y%volume_fraction))
+
+    difference = abs(x%volume_fraction - y%volume_fraction)
+    if (par%closure /= CRITICAL) then
+      difference = max(difference, maxval(abs(x%fabric - y%fabric)) / par%kappa, &
+        abs(x%coordination_number - y%coordination_number))
+    else if (par%elastic_strain > 0) then
+      difference = max(difference, maxval(abs(x%stress - y%stress)) / max(maxval(abs(y%stress)), STRESS_FLOOR))
+    end if
   end function distance
 
   !> Newton's method with line search for the amplitudes of one substep, given and found as rates per increment.

@@ -7,7 +7,7 @@ module granumat_umat
   use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
     PLANE_STRESS
-  use granumat_law, only: excess_target
+  use granumat_law, only: excess_target, volume_fraction_of
   use granumat_matrices, only: gradient_logarithm, polar_rotation, rotation_logarithm
   use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, CRITICAL, FIGURE_16, HERTZIAN, &
     KINEMATIC
@@ -253,7 +253,8 @@ contains
     statev(S_PHI) = x%volume_fraction
   end subroutine write_state
 
-  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept.
+  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept. In the
+  !! critical-state closure, where Z2 = f(phi), a pressure holds and phi follows from it (A 11).
   pure subroutine start(par, given, stress, x, status)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: given(N_PROPS), stress(:)
@@ -261,19 +262,25 @@ contains
     integer, intent(inout) :: status
     type(lane_state) :: lanes_x
     type(material_state) :: started(1)
-    real(dp) :: p, handed(6), eta(LANES), f(LANES)
+    real(dp) :: p, factor, handed(6), eta(LANES), f(LANES)
 
     handed = 0
     handed(:size(stress)) = stress / given(P_STIFFNESS)
     p = given(P_PRESSURE) / given(P_STIFFNESS)
     if (.not. abs(p) > 0) p = -sum(handed(:3)) / 3
     if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
-    if (p < 0 .or. .not. (given(P_PHI) > 0 .and. given(P_PHI) < 1) &
-      .or. par%closure == CRITICAL .and. abs(given(P_PRESSURE)) > 0) status = BAD_INITIAL_STATE
+    if (p < 0 .or. .not. (given(P_PHI) > 0 .and. given(P_PHI) < 1)) status = BAD_INITIAL_STATE
     x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=given(P_PHI))
     if (status /= OK) return
     f = excess_target(par, spread(given(P_PHI) - par%phic, 1, LANES))
-    if (p > 0) f = sqrt(merge(p**(2.0_dp / 3), p, par%contact == HERTZIAN) / par%a1)
+    if (p > 0) then
+      factor = par%a1
+      if (par%closure == CRITICAL) factor = par%a1 + par%a2 * par%kappa
+      f = sqrt(merge(p**(2.0_dp / 3), p, par%contact == HERTZIAN) / factor)
+      if (par%closure == CRITICAL) x%volume_fraction = volume_fraction_of(par, f(1))
+      if (.not. x%volume_fraction < 1) status = BAD_INITIAL_STATE
+      if (status /= OK) return
+    end if
     x%coordination_number = par%Zc + f(1)
     call gather([x], lanes_x)
     call evaluate(par, lanes_x, eta)

@@ -9,7 +9,8 @@ module granumat_law
   use granumat_tensors, only: contract, corotate, times
   implicit none (type, external)
   private
-  public :: fabric_rate, linear_fabric_rate, coordination_rate, excess_target, excess_target_slope, relaxation_rate, critical_state
+  public :: fabric_rate, linear_fabric_rate, coordination_rate, excess_target, excess_target_slope, &
+    volume_fraction_of, relaxation_rate, critical_state
 
 contains
 
@@ -55,6 +56,14 @@ contains
     real(dp) :: slope(LANES)
     slope = merge(par%beta2 * excess_target(par, distance) / max(distance, tiny(1.0_dp)), 0.0_dp, distance > 0)
   end function excess_target_slope
+
+  !> The volume fraction whose f(phi) - Zc is a given excess above 0: the inverse of (4.9).
+  pure function volume_fraction_of(par, excess) result(phi)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: excess
+    real(dp) :: phi
+    phi = par%phic + (excess / par%beta1)**(1 / par%beta2)
+  end function volume_fraction_of
 
   !> The elastic strain e_r > 0: d sigma'/dt = W sigma' - sigma' W + |D| (sigma'_model - sigma')/e_r. With e_r = 0, the paper,
   !! sigma' is sigma'_model.

@@ -83,7 +83,7 @@ def ellipticity(par: np.ndarray, states: np.ndarray, threads: int) -> tuple[np.n
 
 
 def follow_path(par: np.ndarray, scheme: Scheme, start: np.ndarray, gradients: np.ndarray, modes: np.ndarray,
-                functionals: np.ndarray, targets: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray, int]:
+                functionals: np.ndarray, targets: np.ndarray, tolerance: float) -> tuple[np.recarray, np.ndarray, int]:
     """States (done,), amplitudes (done, m) and the status of the increments (n, 3, 3) of one point, from a state start (1,)."""
     m = len(modes)
     rows = max(m, 1)                                              # the binding takes no empty arrays

@@ -63,7 +63,8 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
         Directory that receives history.csv, also when a step fails; then it receives failing.toml too, a path file that repeats the
         failing increment.
     tolerance : float
-        Largest error of fabric/kappa, Z2 and phi in a substep where stresses are held, in (0, 1).
+        Largest error of what evolves (fabric/kappa, Z2 and phi; in the critical closure phi and, with e_r > 0, the stress over its
+        largest component) in a substep where stresses are held, in (0, 1).
     progress : function of (step, increments done, increments), optional
         Called after every hundred increments.
     acoustic : bool

@@ -263,10 +263,11 @@ class Material:
         Parameters
         ----------
         volume_fraction : float
-            phi, in (0, 1).
+            phi, in (0, 1). In the critical closure, where the pressure is a function of phi alone (A 11), a given pressure or
+            coordination number holds and replaces it.
         pressure : float, optional
             Mean pressure in k/d (k_Hz for Hertzian contacts), at least 0. Give either this or the coordination number; the critical
-            closure takes neither, since its stress follows from the volume fraction alone.
+            closure needs neither.
         coordination_number : float, optional
             Z2.
 
@@ -280,26 +281,46 @@ class Material:
             Names every mistake.
         """
         faults = []
-        if self.closure == "critical":
-            if pressure is not None or coordination_number is not None:
-                faults.append("the critical closure takes no pressure or coordination_number: phi sets both")
-            coordination_number = self["Zc"]
-        elif (pressure is None) == (coordination_number is None):
+        given = [value for value in (pressure, coordination_number) if value is not None]
+        if len(given) > 1 or (not given and self.closure != "critical"):
             faults.append("give either pressure or coordination_number")
+        elif pressure is not None and (not is_number(pressure) or not 0 <= pressure < np.inf):
+            faults.append(f"pressure = {pressure!r}: must be a finite number, at least 0")
         elif pressure is not None:
-            if not is_number(pressure) or not 0 <= pressure < np.inf:
-                faults.append(f"pressure = {pressure!r}: must be a finite number, at least 0")
-            else:
-                coordination_number = float(self.coordination_number(pressure))
+            coordination_number = float(self.coordination_number(pressure))
+        if not faults and self.closure == "critical" and coordination_number is None:
+            coordination_number = self["Zc"]                     # that of phi replaces it
+        elif not faults and self.closure == "critical" and is_finite_number(volume_fraction) and 0 < volume_fraction < 1 \
+                and is_finite_number(coordination_number):       # or `state` refuses them
+            volume_fraction = float(self.volume_fraction(volume_fraction, coordination_number))
+            if not volume_fraction < 1:
+                faults.append(f"Z2 = {coordination_number:.6g} needs phi = {volume_fraction:.6g} in the critical closure")
         refuse("the isotropic state cannot be made", faults)
         assert coordination_number is not None                   # or there were faults
         return self.state(volume_fraction, coordination_number)
 
     def coordination_number(self, pressure: ArrayLike) -> np.ndarray:
-        """Coordination numbers Z2 (...) of isotropic packings under pressures (...) of at least 0: the inverse of (4.2), (4.4)."""
+        """Coordination numbers Z2 (...) of isotropic packings under pressures (...) of at least 0: the inverse of (4.2), (4.4).
+
+        In the critical closure (A 11) has kappa in place of abs(A).
+        """
         pressure = np.asarray(pressure)
         hookean = pressure ** (2 / 3) if self.contact == "hertzian" else pressure
-        return self["Zc"] + np.sqrt(hookean / self["a1"])
+        factor = self["a1"] + (self["a2"] * self["kappa"] if self.closure == "critical" else 0)
+        return self["Zc"] + np.sqrt(hookean / factor)
+
+    def volume_fraction(self, given: float, coordination_number: ArrayLike) -> np.ndarray:
+        """Volume fractions (...) of packings with coordination numbers Z2 (...), for which `given` was asked.
+
+        They are as given, but in the critical closure, where Z2 = f(phi), they follow from Z2: the inverse of (4.9). Up to Zc they
+        are as given there too, but at most phic.
+        """
+        excess = np.asarray(coordination_number) - self["Zc"]
+        if self.closure != "critical":
+            return np.full(excess.shape, given)
+        with np.errstate(divide="ignore", over="ignore"):
+            return np.where(excess > 0, self["phic"] + (np.maximum(excess, 0) / self["beta1"]) ** (1 / self["beta2"]),
+                            min(given, self["phic"]))
 
     @property
     def steady_strain(self) -> float:
@@ -535,7 +556,7 @@ class Material:
         targets : array (n + 1, m)
             Values of these sums at the start and after each increment, linear in between.
         tolerance : float
-            Largest error of fabric/kappa, Z2 and phi in a substep; without free modes there are none.
+            As in driver.run; without free modes there are no substeps.
 
         Returns
         -------

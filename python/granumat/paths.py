@@ -35,7 +35,7 @@ class PathFile:
         Start of the path.
     steps : list of Step
     tolerance : float
-        Largest error of fabric/kappa, Z2 and phi in a substep where stresses are held.
+        As in driver.run.
     acoustic : bool
         Whether the history is to have the column "acoustic".
     quantities : sequence of Quantity

@@ -16,7 +16,7 @@ from . import tensors
 from .checks import attempt, is_finite_number, is_positive_integer, refuse
 from .history import stop_condition
 
-TOLERANCE = 1e-6            # default error of fabric/kappa, Z2 and phi in a substep where stresses are held
+TOLERANCE = 1e-6            # default error of what evolves in a substep where stresses are held
 
 # Controls: the deformations that each leaves free and the stresses that it holds instead.
 CONTROLS = {

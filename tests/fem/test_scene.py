@@ -154,6 +154,17 @@ def test_a_block_with_pressure_and_gravity_rests(tmp_path):
     np.testing.assert_allclose(p, vertical * 2.6 / 3, rtol=1e-6)                     # Z2 is that of the pressure at each depth
 
 
+def test_at_rest_the_pressure_at_each_depth_holds_in_the_critical_closure_and_phi_follows():
+    material = Material(0.5, "critical", elastic_strain=0.01)
+    depth = np.linspace(0, 2, 201)
+    states = scene.resting(material, 0.60, 0.003, 2.0, 0.01, 0.8)(np.stack([0 * depth, 0 * depth, 2 - depth], 1))
+    vertical, p = -states.stress[:, 2], -tensors.trace(states.stress) / 3
+    np.testing.assert_allclose(p, vertical * 2.6 / 3, rtol=1e-14)
+    np.testing.assert_allclose(-tensors.trace(material.evaluate(states)[0]) / 3, p, rtol=1e-12)
+    weight = 0.003 * (states.volume_fraction[1:] + states.volume_fraction[:-1]) / 2
+    np.testing.assert_allclose(vertical, 0.01 + np.append(0, np.cumsum(weight * 0.01)), rtol=1e-7)
+
+
 def test_steady_shear_is_steady_along_x(tmp_path):
     text = BOX
     for old, new in {

@@ -132,3 +132,30 @@ def random_increments(rng, n, mu, shear, spin=3.0, volume=0.5, margin=0.005, exc
     gradient = scale(size, random_tensors(1)) + scale(spin * size * rng.random(n), random_tensors(-1))
     gradient = gradient + scale(volume_strain / 3, np.eye(3))
     return fabric, c["Zc"] + rng.uniform(*excess, n), phi, gradient
+
+
+def integrate_critical(c, phi, gradient, deviator, contact="hookean", rtol=1e-13):
+    """As `integrate`, in the critical-state closure (A 10)-(A 12): A = lambda S^, Z2 = f(phi); p (n,) and sigma' (n, 3, 3)."""
+    n = len(gradient)
+    _, w, s, mod_d, _, tr = parts(gradient)
+    chi = -(c["c2"] + np.sqrt(c["c2"]**2 - 8 * c["c1"] * c["c3"])) / (2 * c["c3"])
+    slow = -c["c1"] / (c["c2"] + c["c3"] * chi)                                                        # lambda (A 9)
+    s_hat = scale(1 / mod_d, s)
+    fabric = slow * s_hat
+    bracket = 2 * slow * (s_hat @ s_hat - scale(double_dot(s_hat, s_hat) / 3, np.eye(3)))      # traceless: docs/theory.md, 1.5
+    ratio = -(c["b1"] + c["b2"] * chi + c["b3"] * chi**2) * s_hat + c["a3"] * bracket
+
+    def pressure(t):
+        excess = c["beta1"] * np.maximum(phi * np.exp(-tr * t) - c["phic"], 0) ** c["beta2"]
+        p = (c["a1"] + c["a2"] * abs(slow) + c["g"] * tr / mod_d) * excess**2                          # kappa = abs(lambda)
+        return p ** 1.5 if contact == "hertzian" else p
+
+    def rate(t, y):
+        dev = y.reshape(n, 3, 3)
+        return (w @ dev - dev @ w + scale(mod_d / c["elastic_strain"], scale(pressure(t), ratio) - dev)).ravel()
+
+    if not c["elastic_strain"] > 0:
+        return fabric, pressure(1.0), scale(pressure(1.0), ratio)
+    solution = solve_ivp(rate, (0, 1), np.reshape(deviator, -1), method="DOP853", rtol=rtol, atol=rtol * 1e-4, max_step=0.05)
+    assert solution.success, solution.message
+    return fabric, pressure(1.0), solution.y[:, -1].reshape(n, 3, 3)

@@ -30,12 +30,15 @@ from .scene_data import BOX_SIDES, Function, Resting, Scene, SideConditions
 from .scene_file import read_scene
 from .tables import Probe, Reactions
 
+DEPTH_STEPS = 20                    # over which the weight is summed where phi depends on the depth
 ON_SIDE = 1e-6                      # over the body's size: a facet as close as that to a side's place lies on it
 
 
 def resting(material: Material, volume_fraction: float, weight: float, top: float, pressure: float = 0.0,
             k0: float = 1.0) -> Callable[[np.ndarray], np.ndarray]:
     """State for Problem: at rest under gravity, isotropic fabric, horizontal stresses k0 times the vertical one.
+
+    In the critical closure phi follows from the pressure, and the weight from phi.
 
     Parameters
     ----------
@@ -56,14 +59,22 @@ def resting(material: Material, volume_fraction: float, weight: float, top: floa
         It raises ValueError where points lie above the surface.
     """
     def state(x: np.ndarray) -> np.ndarray:
-        vertical = pressure + volume_fraction * weight * (top - x[:, -1])
-        if (vertical < 0).any():
+        depth, vertical = top - x[:, -1], np.full(len(x), float(pressure))
+        if (pressure + volume_fraction * weight * depth < 0).any():
             raise ValueError(f"top = {top!r}: there are points above it")
+
+        def packing(vertical: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Phi and Z2 under vertical stresses."""
+            z2 = material.coordination_number((1 + 2 * k0) / 3 * vertical)
+            return material.volume_fraction(volume_fraction, z2), z2
+
+        for _ in range(DEPTH_STEPS):                         # the weight above: midpoint rule, of a phi that hardly changes
+            step = weight * depth / DEPTH_STEPS
+            vertical += step * packing(np.maximum(vertical + packing(vertical)[0] * step / 2, 0))[0]
         states = np.zeros(len(x), STATE).view(np.recarray)
         states["stress"][:, :3] = -k0 * vertical[:, None]
         states["stress"][:, x.shape[1] - 1] = -vertical
-        states["coordination_number"] = material.coordination_number(-tensors.trace(states["stress"]) / 3)
-        states["volume_fraction"] = volume_fraction
+        states["volume_fraction"], states["coordination_number"] = packing(vertical)
         return states
     return state
 

@@ -197,7 +197,7 @@ def _initial(content: dict[str, Any], material: Material | None, kind: str | Non
     if table.get("state") not in (*INITIAL, "K0"):
         raise ValueError(f"[initial]: state = {table.get('state')!r}: must be one of {', '.join(INITIAL)}, K0")
     if table["state"] == "K0":
-        return _resting(table, material, settings.get("gravity"))
+        return _resting(table, settings.get("gravity"))
     state = read_initial(material, content)
     if table["state"] == "steady" and kind != "box":
         raise ValueError("[initial]: state = 'steady' is uniform shear along x, of a box only; elsewhere it is a function of "
@@ -207,7 +207,7 @@ def _initial(content: dict[str, Any], material: Material | None, kind: str | Non
     return state
 
 
-def _resting(table: dict[str, Any], material: Material | None, gravity: list[float] | None) -> Resting:
+def _resting(table: dict[str, Any], gravity: list[float] | None) -> Resting:
     faults: list[str] = []
     _check_keys(table, ("state", "phi", "pressure"), ("K0",), faults)
     _check_number(table, "phi", "a number in (0, 1)", lambda value: 0 < value < 1, faults)
@@ -215,8 +215,6 @@ def _resting(table: dict[str, Any], material: Material | None, gravity: list[flo
     _check_number(table, "K0", "a number above 0", lambda value: value > 0, faults)
     if gravity is None or any(gravity[:-1]) or gravity[-1] > 0:
         faults.append("state = 'K0' needs a gravity in [problem], downward along the last axis")
-    elif material is not None and material.closure == "critical":
-        faults.append("state = 'K0': the critical closure's pressure follows from phi alone")
     refuse("[initial]", faults)
     assert gravity is not None
     return Resting(table["phi"], -gravity[-1], table["pressure"], table.get("K0", 1.0))

@@ -245,4 +245,4 @@ def print_paths(effort: Effort) -> None:
         print(f"{effort.increments} increments of simple shear by {SHEAR:g} at constant {control}, median of {effort.repeats}:")
         rows = compare(control, rate, effort.increments, effort.repeats)
         for name, seconds, error in rows:
-            print(f"  {name:28} {seconds * 1e3:9.2f} ms   {seconds / rows[0].seconds:7.1f} x granumat   error {error:.1e}")
+            print(f"  {name:28} {seconds * 1e3:9.2f} ms   {seconds / rows[0].seconds:7.3g} x granumat   error {error:.1e}")
