@@ -96,8 +96,27 @@ def closures(content: Content) -> Axis:
     """The closure: from the file's choice of "full" or "kinematic", or from "full", down to no microstructure at all."""
     own = content.get("material", {}).get("closure", "full")
     names = (own if own == "kinematic" else "full", *CLOSURES[1:])
-    rungs = tuple(Rung(name, unchanged if name == own else _material(closure=name)) for name in names)
-    return Axis("closure", MODEL, rungs, own=Rung(own, unchanged))
+    rungs = [Rung(name, unchanged if name == own else _material(closure=name)) for name in names[:-1]]
+    rungs.append(Rung("critical", unchanged if own == "critical" else _critical))
+    return Axis("closure", MODEL, tuple(rungs), own=Rung(own, unchanged))
+
+
+def _critical(content: Content) -> Content:
+    """The content with the critical closure, in which pressure and volume fraction follow from each other.
+
+    Where nothing is free to change the volume the initial volume fraction stays as it is, otherwise the initial pressure.
+    """
+    content = with_material(content, closure="critical")
+    steps = content.get("step")
+    if not steps or any(_frees(entry) for entry in steps) or content.get("initial", {}).get("state") != "isotropic":
+        return content
+    return {**content, "initial": {key: value for key, value in content["initial"].items() if key not in ("pressure", "Z2")}}
+
+
+def _frees(entry: Mapping[str, Any]) -> bool:
+    """Whether a step of a path leaves a deformation free."""
+    is_free_test = str(entry.get("test")).endswith("-drained") or (entry.get("test") == "isotropic" and "pressure" in entry)
+    return bool(entry.get("free")) or entry.get("control", "volume") != "volume" or is_free_test
 
 
 def relaxation(content: Content) -> Axis | None:

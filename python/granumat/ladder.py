@@ -258,8 +258,10 @@ class Ladder:
                 pairs.append((self.run({axis.name: rung, **mesh}), self.run({axis.name: axis.rungs[0], **mesh})))
             errors = [self.errors(*pair) for pair in pairs]
             if len(meshes) > 2 and self._differ(*errors):
-                pairs.append((self.run({axis.name: rung, **meshes[2]}), self.run({axis.name: axis.rungs[0], **meshes[2]})))
-                errors = [*errors[1:], self.errors(*pairs[-1])]
+                third = self.run({axis.name: rung, **meshes[2]}), self.run({axis.name: axis.rungs[0], **meshes[2]})
+                if not third[0].failure and not third[1].failure:
+                    pairs.append(third)
+                    errors = [*errors[1:], self.errors(*third)]
             factor = MODEL_FACTOR if len(errors) > 1 else 1.0
             findings.append(Finding(rung, factor * np.max(errors, axis=0), max(_ratio(*pair) for pair in pairs),
                                     self.reason(*pairs[-1])))

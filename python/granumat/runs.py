@@ -22,7 +22,7 @@ from .toml import write_content
 T = TypeVar("T")
 
 RESULT = "result.json"
-SHORT_SECONDS, REPETITIONS = 0.2, 5         # runs shorter than that are repeated so often at most, and the median of times is taken
+SHORT_SECONDS, REPETITIONS = 0.2, 25        # runs are repeated until they have taken so much time, or so often; the median counts
 HASH_LENGTH = 9                             # characters of a hash that keep the names of directories apart
 
 
@@ -210,7 +210,7 @@ class PointRunner:
             return Result({}, 0.0, {}, failure=str(error))
         seconds: list[float] = []
         failure = ""
-        while not seconds or (len(seconds) < REPETITIONS and sum(seconds) < REPETITIONS * SHORT_SECONDS):
+        while not seconds or (len(seconds) < REPETITIONS and sum(seconds) < SHORT_SECONDS and not failure):
             start = time.process_time()
             try:
                 history = driver.run(path.material, path.state, path.steps, tolerance=path.tolerance, acoustic=path.acoustic)
