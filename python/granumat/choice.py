@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .coarsen import MODEL, Axis, Content, Rung
+from .coarsen import MODEL, NUMERICS, Axis, Content, Rung
 from .quantities import Quantity
 from .runs import Result
 
@@ -126,6 +126,12 @@ class Report:
         """Largest effect (quantities,) of the constants: a tolerance below it means nothing."""
         found = [finding.errors for study in self.constants for finding in study.findings[1:] if np.isfinite(finding.errors).all()]
         return np.max(found, axis=0) if found else np.zeros(len(self.quantities))
+
+    @property
+    def unknown(self) -> list[str]:
+        """Numerical axes along which no rung can be recommended, or was looked at, so that their errors are not known."""
+        return [study.axis.name for study in self.studies if study.axis.kind == NUMERICS
+                and not self.choice.get(study.axis.name, study.findings[0]).is_known]
 
     @property
     def is_proved(self) -> bool:

@@ -172,7 +172,8 @@ class Ladder:
                             found[good[0]])) for number in good]
         if verdict:
             self.setting[axis.name] = axis.own
-            return Study(axis, (Finding(axis.own, self.zero, 1.0, is_known=False), *findings), verdict, is_complete=not spent)
+            own = Finding(axis.own, self.zero, self._time_of_own(axis, found), is_known=False)
+            return Study(axis, (own, *findings), verdict, is_complete=not spent)
         if not spent:
             findings += self._own(axis, found[good[0]], rest)
         fine = [number for number in good if number <= axis.start + 1
@@ -180,6 +181,12 @@ class Ladder:
         self.setting[axis.name] = axis.rungs[max(fine)]
         remark = LOCALISES if axis.name == "mesh" and self._narrows(found) else ""
         return Study(axis, tuple(findings), is_complete=not spent, remark=remark)
+
+    def _time_of_own(self, axis: Axis, found: Mapping[int, Result]) -> float:
+        """Time of the file's own rung over the finest one's, if it is one of those that were run; otherwise as long as that."""
+        own = self.changed({axis.name: axis.own})
+        return next((_ratio(found[number], found[_good(found)[0]]) for number in _good(found)
+                     if self.changed({axis.name: axis.rungs[number]}) == own), 1.0)
 
     def _verdict(self, axis: Axis, found: Mapping[int, Result], rest: np.ndarray) -> str:
         """Why none of a sequence's rungs can be recommended."""

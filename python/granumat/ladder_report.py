@@ -43,6 +43,8 @@ def comments(report: Report, file: Path) -> list[str]:
     for number, quantity in enumerate(report.quantities):
         lines.append(f"  {quantity.name}: error {report.measured[number]:.2%} (tolerance {report.tolerances[number]:.2%}, "
                      f"the finest model's own error at most {report.of_top[number]:.2%})")
+    lines += [f"The error of the {' and the '.join(report.unknown)}, which is the file's own, is NOT known: see ladder.txt."
+              ] if report.unknown else []
     return lines + ([] if report.is_proved else ["NOT within the tolerances: see ladder.txt."])
 
 
@@ -149,6 +151,9 @@ def _results(report: Report) -> list[str]:
     found = [f"Recommended: {words}.",
              f"Its error, measured against the top of all axes: {_each(report, report.measured)}.",
              f"Predicted: {_each(report, report.predicted)}. Of this the top itself may be off by {_each(report, report.of_top)}."]
+    if report.unknown:
+        found.append(f"NONE OF THESE HAS THE ERROR OF THE {' AND THE '.join(report.unknown).upper()}, which is the file's own: "
+                     "that error is not known (below).")
     if not report.is_proved:
         found.append("THE TOLERANCE IS NOT PROVED: no rung, not even the top, is known to be within it.")
     if report.recommended.failure:
