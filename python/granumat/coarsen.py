@@ -156,7 +156,7 @@ def path_axes(content: Content) -> list[Axis]:
     distinct = [rung for number, rung in enumerate(increments)
                 if PATH_FACTORS[number] <= 1 or rung.change(content) != increments[number - 1].change(content)]
     axes = [Axis("increment", NUMERICS, tuple(distinct), min(4, len(distinct) - 1), True)] if len(distinct) > 3 else []
-    if any("control" in step or "free" in step or "test" in step for step in content.get("step", [])):
+    if any(_frees(step) for step in content.get("step", [])):
         own = content.get("tolerance", TOLERANCE)
         values = sorted({*PATH_TOLERANCES, own})
         rungs = tuple(Rung(f"{value:g}", _path_tolerance(value)) for value in values if value <= max(own, PATH_TOLERANCES[-1]))
