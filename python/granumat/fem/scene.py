@@ -8,7 +8,6 @@ import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
-from .. import tensors
 from ..checks import refuse
 from ..core import STATE
 from ..material import Material
