@@ -8,12 +8,14 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 from . import __version__, driver, quantities
 from .errors import GranumatError
 from .paths import read_path_file
 from .studies.cases import CASES
+
+T = TypeVar("T")
 
 PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to meet the same error
 PRINTED = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
@@ -62,6 +64,11 @@ def _parser() -> argparse.ArgumentParser:
     solve = command("solve", run_solve, "run a scene file: a boundary-value problem on a mesh; under mpirun on several ranks")
     solve.add_argument("scene", type=Path, help="the scene, a TOML file")
     solve.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
+    ladder = command("ladder", run_ladder, "find the cheapest model that will do for a path or a scene, on all ranks of mpirun")
+    ladder.add_argument("file", type=Path, help="the path or scene with its quantities of interest, a TOML file")
+    ladder.add_argument("--tolerance", type=float, required=True,
+                        help="error that is allowed, relative to the scale of each quantity that has no tolerance of its own")
+    ladder.add_argument("--budget", type=int, help="most runs that there may be")
     command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives").add_argument(
@@ -109,26 +116,62 @@ def run_point(options: argparse.Namespace) -> None:
 
 def run_solve(options: argparse.Namespace) -> None:
     """Run `granumat solve`; the first rank speaks for all."""
+    scene = _import_scenes("solve").scene
+    problem, written = _on_all_ranks(options, lambda: scene.solve(options.scene, options.out, options.resume, progress=sys.stderr))
+    if not options.quiet:
+        print(f"t = {problem.t:g} after {problem.increments} increments")
+        _say_written(written)
+
+
+def run_ladder(options: argparse.Namespace) -> None:
+    """Run `granumat ladder`; what is there of an earlier climb in the directory is used."""
+    from . import ladder
+
+    def climb() -> ladder.Report:
+        return ladder.climb(options.file, options.tolerance, options.out, options.budget, progress=sys.stderr)
+    if ladder.is_scene(options.file):
+        _import_scenes("ladder of a scene")
+        _on_all_ranks(options, climb)
+    elif not _is_idle_rank(options):
+        climb()
+    if not options.quiet:
+        print((options.out / "ladder.txt").read_text(encoding="utf-8"))
+        _say_written(options.out / name for name in ladder.FILES)
+
+
+def _import_scenes(command: str) -> Any:
+    try:
+        from . import fem
+        from .fem import scene  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"granumat {command} needs DOLFINx (Debian: python3-dolfinx): {error}") from None
+    return fem
+
+
+def _is_idle_rank(options: argparse.Namespace) -> bool:
+    """Whether this is a rank to which a path, which has one point, gives nothing to do."""
     try:
         from mpi4py import MPI
+    except ImportError:
+        return False
+    options.quiet = MPI.COMM_WORLD.rank > 0
+    return bool(options.quiet)
 
-        from .fem import scene
-    except ImportError as error:
-        raise ImportError(f"granumat solve needs DOLFINx (Debian: python3-dolfinx): {error}") from None
+
+def _on_all_ranks(options: argparse.Namespace, action: Callable[[], T]) -> T:
+    """What an action gives in which all ranks take part; where only some of them fail, all end."""
+    from mpi4py import MPI
     logging.captureWarnings(False)                               # DOLFINx's compiler sends them to its log
     options.quiet = MPI.COMM_WORLD.rank > 0
     comm = MPI.COMM_WORLD.Dup()                                  # errors may leave messages on the other
     try:
-        problem, written = scene.solve(options.scene, options.out, options.resume, progress=sys.stderr)
+        return action()
     except BaseException as error:
         expected = isinstance(error, (ValueError, OSError, ImportError, GranumatError))
         if not (expected and _all_ranks_come(comm)):
             traceback.print_exc()
             MPI.COMM_WORLD.Abort(1)                              # or the other ranks would wait for ever
         raise
-    if not options.quiet:
-        print(f"t = {problem.t:g} after {problem.increments} increments")
-        _say_written(written)
 
 
 def _all_ranks_come(comm: Any) -> bool:

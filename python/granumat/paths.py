@@ -14,6 +14,7 @@ from .history import ACOUSTIC, COLUMNS
 from .material import Material
 from .quantities import Quantity, are_same_times, read_quantities
 from .steps import TOLERANCE, Step
+from .toml import write_content
 
 Table = Mapping[str, Any]
 
@@ -345,20 +346,9 @@ def write_path_file(filename: str | Path, material: Material, state: np.record |
     step : Step
         With a constant gradient and no condition that ends it early.
     """
-    lines = ["[material]", *(f"{name} = {_toml(value)}" for name, value in material.definition.items()), "", "[initial]",
-             'state = "given"', f"phi = {_toml(state['volume_fraction'])}", f"Z2 = {_toml(state['coordination_number'])}"]
-    lines += [f"{name} = {_toml(state[name])}" for name in ("fabric", "direction", "stress")]
-    lines += ["", "[[step]]", f"velocity_gradient = {_toml(step.gradient)}", f"strain = {_toml(step.strain)}",
-              f"increments = {step.increments}"]
+    initial = {"state": "given", "phi": state["volume_fraction"], "Z2": state["coordination_number"]}
+    initial |= {name: state[name] for name in ("fabric", "direction", "stress")}
+    entry: dict[str, Any] = {"velocity_gradient": step.gradient, "strain": step.strain, "increments": step.increments}
     if step.free:
-        conditions = ", ".join(f'"{name}" = {_toml(value)}' for name, value in step.stress.items())
-        lines += [f"free = {_toml(step.free)}", f"stress = {{ {conditions} }}"]
-    Path(filename).write_text("\n".join(lines) + "\n", encoding="utf-8")
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"'
-    if is_number(value):
-        return repr(float(value))
-    return "[" + ", ".join(_toml(item) for item in value) + "]"
+        entry |= {"free": step.free, "stress": step.stress}
+    write_content(filename, {"material": material.definition, "initial": initial, "step": [entry]})

@@ -220,16 +220,22 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Co
 
 def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
     """The observers that write into the directory `out` what the scene asks for."""
-    request, (part, symmetry) = scene.output, modelled(scene)
+    request, (_, symmetry) = scene.output, modelled(scene)
     times = (*request.times, 0.0, scene.run.until)
     outputs: list[Output] = [Fields(out / "fields.xdmf", request.every, times)]
     if held:
         outputs.append(Reactions(out / "reactions.csv", held, request.center, symmetry=symmetry))
     outputs += [Probe(out / f"probe-{name}.csv", x, symmetry=symmetry) for name, x in request.probes.items()]
     if scene.quantities:
-        regions = {region.name: region for region in part.regions}
-        outputs.append(Quantities(out / QUANTITIES_FILE, scene.quantities, held, request.probes, regions, request.center, symmetry))
+        outputs.append(quantities_of(scene, held, out / QUANTITIES_FILE))
     return outputs + [Pictures(out, field, request.every, times) for field in request.pictures]
+
+
+def quantities_of(scene: Scene, held: dict[str, Where], path: Path) -> Quantities:
+    """The observer that writes the scene's quantities of interest; `held` as from problem_of."""
+    part, symmetry = modelled(scene)
+    regions = {region.name: region for region in part.regions}
+    return Quantities(path, scene.quantities, held, scene.output.probes, regions, scene.output.center, symmetry)
 
 
 def _write_all(problem: Problem, outputs: list[Output], checkpoint: Checkpoint) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import attempt, is_number, refuse
+from ..coarsen import claimed_symmetries
 from ..material import Material
 from ..paths import INITIAL, read_initial, read_material, read_toml, table_of
 from ..quantities import Quantity, read_quantities
@@ -18,7 +19,7 @@ from .reduction import reduction_faults
 from .scene_data import BOX_SIDES, Function, OutputRequest, Region, Resting, RunControl, Scene, SideConditions
 from .symmetry import exchange_y_z
 
-TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity")
+TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity", "ladder")
 # By kind of mesh: the keys that it needs, and those that it may have.
 MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading", "layer", "plane")),
              "annulus": (("radii", "cells"), ("height", "cell", "grading", "sector", "plane")), "gmsh": (("file",), ())}
@@ -56,6 +57,7 @@ def read_scene(path: str | Path) -> Scene:
     regions = attempt(faults, "", _regions, content, d)
     sides = None if None in conditions else [side for of_entry in conditions for side in of_entry or []]
     quantities = attempt(faults, "", _quantities, content, d, sides, run, output, regions)
+    attempt(faults, "", claimed_symmetries, content)
     if mesh is not None:
         faults += [f"[mesh]: {fault}" for fault in reduction_faults(
             mesh, settings, initial, sides, regions or [], [quantity.of for quantity in quantities or []])]

@@ -1,0 +1,56 @@
+"""Writing TOML: what a path or scene file says as text. Reading is the standard library's."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from .checks import is_number
+
+
+def format_value(value: Any) -> str:
+    """A value as TOML has it; numbers in full.
+
+    Parameters
+    ----------
+    value : bool, int, float, str, sequence or mapping of such
+        NumPy's numbers and arrays too.
+    """
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False)
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, int):
+        return str(value)
+    if is_number(value):
+        return repr(float(value))
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{_key(name)} = {format_value(item)}" for name, item in value.items()) + " }" if value else "{}"
+    return "[" + ", ".join(format_value(item) for item in value) + "]"
+
+
+def format_content(content: Mapping[str, Any]) -> str:
+    """The text of a file: keys first, then a table for each mapping and an array of tables for each list of mappings."""
+    lines = [f"{_key(name)} = {format_value(value)}" for name, value in content.items() if not _is_table(value)]
+    for name, value in content.items():
+        for table in [value] if isinstance(value, Mapping) else value if _is_table(value) else []:
+            lines += ["", f"[{_key(name)}]" if isinstance(value, Mapping) else f"[[{_key(name)}]]"]
+            lines += [f"{_key(key)} = {format_value(item)}" for key, item in table.items()]
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def write_content(filename: str | Path, content: Mapping[str, Any], comments: Sequence[str] = ()) -> None:
+    """Write a file of a content; the comments come first, a line each. An old file is replaced at once."""
+    filename = Path(filename)
+    partial = filename.with_name(filename.name + ".part")
+    partial.write_text("".join(f"# {comment}".rstrip() + "\n" for comment in comments) + format_content(content), encoding="utf-8")
+    partial.replace(filename)
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping) or (isinstance(value, list) and bool(value) and all(isinstance(v, Mapping) for v in value))
+
+
+def _key(name: str) -> str:
+    bare = bool(name) and all((character.isalnum() and character.isascii()) or character in "-_" for character in name)
+    return name if bare else format_value(name)
