@@ -47,8 +47,9 @@ def test_every_table_is_printed_with_positive_finite_numbers(printed, table, num
 
 
 def test_headings_say_what_was_measured(printed):
-    for heading in (f"{bench.QUICK.points} points, random increments", "cost per point of each closure over full's", "cost per point against the number of points:",
-                    "to reach an error: time over the update's, over 1 cases", "Newton's residuals, reversal by 0.02",
+    for heading in (f"{bench.QUICK.points} points, random increments", "cost per point of each closure over full's",
+                    "cost per point against the number of points:", "to reach an error: time over the update's, over 1 cases",
+                    "Newton's residuals, reversal by 0.02",
                     f"{bench.QUICK.increments} increments of simple shear by -1 at constant volume",
                     f"{bench.QUICK.increments} increments of simple shear by -1 at constant pressure"):
         assert heading in printed
