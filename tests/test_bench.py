@@ -30,6 +30,8 @@ def printed():
     (rf"with tangent +{NUMBER} ns: {NUMBER} x the update", 1),
     (rf"by the spin too +{NUMBER} ns: {NUMBER} x the update", 1),
     (rf"update, two threads +{NUMBER} ns: {NUMBER} x faster", 1),
+    (rf"^  e_r = [0.1]+ +(?:plane|3D) +(?:update|with tangent) +critical {NUMBER}  basic {NUMBER}  n2 {NUMBER}"
+     rf"  kinematic {NUMBER}  full {NUMBER} ns$", 8),
     (rf"one UMAT call with all its arguments, {NUMBER} ns: {NUMBER} x an elastic UMAT's, {NUMBER} x a point in the batch", 1),
     (rf"^ +\d+ +{NUMBER} ns$", len(bench.QUICK.sizes)),
     (rf"^\| NumPy, aim \d+ \| [-0-9a-z ]+ \| {NUMBER} \| {NUMBER} \| 0 of 1 \|", 3),
@@ -45,8 +47,9 @@ def test_every_table_is_printed_with_positive_finite_numbers(printed, table, num
 
 
 def test_headings_say_what_was_measured(printed):
-    for heading in (f"{bench.QUICK.points} points, random increments", "cost per point against the number of points:",
-                    "to reach an error: time over the update's, over 1 cases", "Newton's residuals, reversal by 0.02",
+    for heading in (f"{bench.QUICK.points} points, random increments", "cost per point of each closure over full's",
+                    "cost per point against the number of points:", "to reach an error: time over the update's, over 1 cases",
+                    "Newton's residuals, reversal by 0.02",
                     f"{bench.QUICK.increments} increments of simple shear by -1 at constant volume",
                     f"{bench.QUICK.increments} increments of simple shear by -1 at constant pressure"):
         assert heading in printed

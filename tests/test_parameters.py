@@ -91,7 +91,7 @@ def test_the_critical_closure_takes_phi_from_the_pressure_or_the_coordination_nu
     assert again.volume_fraction == pytest.approx(state.volume_fraction, rel=1e-14)
     for given, expected in ((0.55, 0.55), (0.60, c["phic"])):                       # no pressure up to phic
         assert material.isotropic(given, pressure=0.0).volume_fraction == expected
-    with pytest.raises(ValueError, match="needs phi = 2.*in the critical closure"):
+    with pytest.raises(ValueError, match=r"needs phi = 2.*in the critical closure"):
         material.isotropic(0.60, pressure=1.0)
     with pytest.raises(ValueError, match=r"volume_fraction = 60: must be in \(0, 1\)"):
         material.isotropic(60, pressure=0.01)

@@ -10,7 +10,8 @@ PHI = 0.60
 BATCH_SHEAR = 0.01                # largest shear strain of an increment
 
 
-def random_batch(material: Material, n: int, shear: float = BATCH_SHEAR, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def random_batch(material: Material, n: int, shear: float = BATCH_SHEAR, seed: int = 0,
+                 plane: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Draw points near steady shear and increments in random directions.
 
     Parameters
@@ -22,6 +23,8 @@ def random_batch(material: Material, n: int, shear: float = BATCH_SHEAR, seed: i
         Largest shear strain, 2 abs(D), of an increment.
     seed : int
         Of the random numbers.
+    plane : bool
+        Whether all is plane strain in x and y.
 
     Returns
     -------
@@ -34,6 +37,10 @@ def random_batch(material: Material, n: int, shear: float = BATCH_SHEAR, seed: i
     states["fabric"] *= rng.uniform(0.3, 1, n)[:, None]
     states["coordination_number"] += rng.uniform(-0.3, 0.3, n)
     gradient = rng.normal(size=(n, 3, 3))
-    gradient -= np.trace(gradient, axis1=1, axis2=2)[:, None, None] * np.eye(3) * 0.3
+    if plane:
+        for name in ("stress", "fabric", "direction"):                    # from shear in x and z
+            states[name] = states[name][:, [0, 2, 1, 4, 3, 5]]
+        gradient[:, 2] = gradient[:, :, 2] = 0
+    gradient -= np.trace(gradient, axis1=1, axis2=2)[:, None, None] * (np.diag([0.45, 0.45, 0]) if plane else 0.3 * np.eye(3))
     gradient *= (shear / 2 * rng.random(n) / tensors.magnitude(tensors.symmetric(gradient)))[:, None, None]
     return states, gradient

@@ -1,7 +1,8 @@
 """Prints what the core costs, beside NumPy, SciPy and an elastic UMAT.
 
-Tables are printed of a point of a batch and its tangent, by the size of the batch and the number of threads; of a UMAT call; of
-NumPy and SciPy at equal error; of Newton's residuals; and of load paths of 1000 increments, by the driver and by SciPy's solvers.
+Tables are printed of a point of a batch and its tangent, by the closure, by the size of the batch and the number of threads; of a
+UMAT call; of NumPy and SciPy at equal error; of Newton's residuals; and of load paths of 1000 increments, by the driver and by
+SciPy's solvers.
 
 The time of a batch is the least of many measurements, in processor time where one thread works: whatever else the machine does
 only adds to it. SciPy gets the rate form of the law in plain floats (`rate_form`), the fastest right-hand side that there is for
@@ -9,6 +10,7 @@ one point.
 """
 
 import functools
+import itertools
 import statistics
 import time
 from collections.abc import Callable, Sequence
@@ -18,7 +20,7 @@ import numpy as np
 
 from .. import driver
 from ..core import STATE, arithmetic
-from ..material import Material
+from ..material import CLOSURES, Material
 from . import chart, rate_form
 from .batches import BATCH_SHEAR, PHI, random_batch
 from .bench_umat import print_umat
@@ -59,6 +61,7 @@ def print_ratios(quick: bool = False) -> None:
     """
     effort = QUICK if quick else FULL
     print_batch(effort)
+    print_closures(effort)
     print_umat(effort.umat_points, effort.repeats)
     print_sizes(effort)
     print_peers(effort)
@@ -111,6 +114,23 @@ def print_batch(effort: Effort) -> None:
     print(f"  with tangent         {tangent:7.0f} ns: {tangent / update:.1f} x the update")
     print(f"  by the spin too      {spin:7.0f} ns: {spin / update:.1f} x the update")
     print(f"  update, two threads  {double / n * 1e9:7.0f} ns: {single / double:.2f} x faster")
+
+
+def print_closures(effort: Effort) -> None:
+    """Print the cost of a point of a batch in each closure over that in the full one, all measured in turn."""
+    n = effort.points
+    print(f"cost per point of each closure over full's, least of {effort.rounds}:")
+    for elastic_strain, plane, tangent in itertools.product((0.0, 0.01), (False, True), (False, True)):
+        actions = []
+        for closure in CLOSURES:
+            material = Material(closure=closure, elastic_strain=elastic_strain)
+            states, gradient = random_batch(material, n, plane=plane)
+            act = functools.partial(material.update_with_tangent, plane=plane) if tangent else material.update
+            actions.append(functools.partial(act, states, gradient, out=np.empty(n, STATE)))
+        seconds = dict(zip(CLOSURES, least_seconds(actions, effort.rounds)))
+        print(f"  e_r = {elastic_strain:<5g}{'plane' if plane else '3D':6}{'with tangent' if tangent else 'update':13}"
+              + "  ".join(f"{name} {seconds[name] / seconds['full']:.2f}" for name in CLOSURES if name != "full")
+              + f"  full {seconds['full'] / n * 1e9:.0f} ns")
 
 
 def print_sizes(effort: Effort) -> None:
