@@ -378,8 +378,13 @@ def with_noise(content: Content) -> Content:
 
 
 def bare(content: Content) -> Content:
-    """The content without what a run would write besides its quantities, so that the time of a run is that of computing."""
+    """The content without what a run would write besides its quantities, so that the time of a run is that of computing.
+
+    Also without tolerances and scales of quantities, with which a run has nothing to do.
+    """
     output = {key: value for key, value in content.get("output", {}).items() if key in ("probes", "center", "acoustic")}
     if "mesh" in content:                                        # a record of the fields at the start and at the end
         output["every"] = 10**9
-    return {**content, "output": output}
+    quantities = [{key: value for key, value in entry.items() if key not in ("tolerance", "scale")}
+                  for entry in content.get("quantity", [])]
+    return {**content, "output": output, **({"quantity": quantities} if quantities else {})}
