@@ -85,7 +85,7 @@ def test_meshes_that_agree_by_accident_do_not_end_the_refinement(tmp_path):
 
 def remainder(*differences, sizes=None):
     sizes = 2.0 ** -np.arange(len(differences) + 1) if sizes is None else sizes
-    return estimate.remainders([np.array([difference]) for difference in differences], sizes)[0]
+    return estimate.remainder(differences, sizes)
 
 
 @pytest.mark.parametrize("differences", [(0.017, 0.002), (0.011, 0.017, 0.002), (0.002, 0.017)])
@@ -103,15 +103,29 @@ def test_extrapolation_is_careful_beyond_these_orders():
     assert remainder(0.01, 0.01) > 0.02                                                           # order 0
     assert remainder(0.01) > 0.02                                                                 # two meshes only
     assert remainder(np.inf, 0.01) == np.inf and remainder(0.0, 0.0) == 0
+    assert remainder(0.01, -0.004) > 0.004                                                        # it turns: at least as far again
+
+
+def test_each_time_is_extrapolated_by_itself():
+    results = [Result({"t": TIMES, "force": np.array([1, 1, 1, first, second])}, 1.0, {}) for first, second in (
+        (1.08, 0.97), (1.04, 1.0), (1.02, 0.99))]                # the largest differences fall with order 1, the last value turns
+    found = estimate.remainders(results, (4.0, 2.0, 1.0), [Quantity("force", "force", (0.75, 1.0), scale=1.0)])
+    assert np.isclose(found[0], max(estimate.SAFETY * 0.02, estimate.SAFETY * 0.01))
 
 
 def test_what_does_not_converge_gets_no_mesh_and_says_so(tmp_path):
     report = climb(tmp_path, MadeUp(lambda content: 1 + 0.04 * np.log2(content["h"])))
-    assert "none of them is known to be fine enough" in study(report, "mesh").verdict
+    assert "does not converge" in study(report, "mesh").verdict and not report.is_proved
     assert report.content["h"] == 1                                                               # the file's own
 
 
 ACCIDENT = dict(zip(2.0 ** np.arange(3, -7, -1), 1 + np.cumsum([0, 0.01, 0.002, 0.017, 0.011, 0.012, 0.01, 0.011, 0.01, 0.01])))
+
+
+def test_where_no_mesh_is_fine_enough_the_finest_is_recommended_and_nothing_is_proved(tmp_path):
+    report = climb(tmp_path, MadeUp(lambda content: 1 + 2.0 * content["h"], quantities=[
+        Quantity("force", "force", scale=1.0)]), tolerance=0.01)
+    assert report.content["h"] == 2.0**-6 and not report.is_proved and "may be off by 3.9%" in study(report, "mesh").remark
 
 
 def test_what_localises_gets_no_mesh_although_its_quantity_agrees_on_some(tmp_path):

@@ -135,6 +135,11 @@ class Report:
 
     @property
     def is_proved(self) -> bool:
+        """Whether all of the recommendation's errors are known and within the tolerances."""
+        return self.is_within and not self.unknown
+
+    @property
+    def is_within(self) -> bool:
         """Whether the recommendation's measured errors, with those of the top itself, are within the tolerances."""
         return bool((self.measured + self.of_top <= self.tolerances).all())
 

@@ -54,38 +54,68 @@ def common_rows(times: np.ndarray, others: np.ndarray) -> tuple[np.ndarray, np.n
     return rows, nearest[rows]
 
 
-def remainders(differences: Sequence[np.ndarray], sizes: Sequence[float]) -> np.ndarray:
-    """Errors of the finest of runs with smaller and smaller cells or increments.
+def remainders(results: Sequence[Result], sizes: Sequence[float], quantities: Sequence[Quantity]) -> np.ndarray:
+    """Errors of the finest of runs with smaller and smaller cells or increments, relative to the scales of the quantities.
 
-    It is Richardson's extrapolation with three cautions. The order is believed between 0.5 and 2. A difference that is smaller than
-    order 2 allows after the ones before it agrees by accident and is replaced by what order 2 gives. Where the differences do not
-    fall as orders 0.5 to 2 have it, or there is only one, the order is 0.5.
+    Each value at each time that is asked for is extrapolated by itself, the values over a range by their largest difference.
 
     Parameters
     ----------
-    differences : sequence of array (quantities,)
-        Between neighbours, from the coarsest to the finest.
+    results : sequence of Result
+        From the coarsest to the finest, none of them failed.
     sizes : sequence of float
-        Of the cells or increments, one more than the differences; each about half of the one before.
+        Of the cells or increments; each about half of the one before.
+    quantities : sequence of Quantity
 
     Returns
     -------
     array (quantities,)
     """
-    return np.array([_remainder([float(difference) for difference in of_one], sizes) for of_one in zip(*differences)])
+    if len(results) < 2:
+        return np.full(len(quantities), np.inf)
+    return np.array([_remainder_of(quantity, results, sizes) for quantity in quantities])
 
 
-def _remainder(differences: Sequence[float], sizes: Sequence[float]) -> float:
+def _remainder_of(quantity: Quantity, results: Sequence[Result], sizes: Sequence[float]) -> float:
+    if quantity.at == "range":
+        return remainder([_error(quantity, coarse, fine) for coarse, fine in itertools.pairwise(results)], sizes)
+    scale = quantity.scale_of(results[-1].table[quantity.name])
+    values = [quantity.pick(result.table["t"], result.table[quantity.name])[1] for result in results]
+    differences = np.diff(values, axis=0) / (scale or TINY)
+    return max(remainder(of_one.tolist(), sizes) for of_one in differences.T)
+
+
+def remainder(differences: Sequence[float], sizes: Sequence[float]) -> float:
+    """What the finest of several values is off by.
+
+    It is Richardson's extrapolation with four cautions. The order is believed between 0.5 and 2. A difference that is smaller than
+    order 2 allows after the ones before it agrees by accident and is replaced by what order 2 gives. Where the differences do not
+    fall as orders 0.5 to 2 have it, or there is only one, the order is 0.5. Where the last one has another sign than the one
+    before, the order is 1.
+
+    Parameters
+    ----------
+    differences : sequence of float
+        From each value to the next finer one.
+    sizes : sequence of float
+        Of the cells or increments, one more than the differences.
+
+    Returns
+    -------
+    float
+    """
     if not np.isfinite(differences).all():
         return np.inf
-    believed = differences[0]
-    for number, difference in enumerate(differences[1:], 1):
+    magnitudes = [abs(difference) for difference in differences]
+    believed = magnitudes[0]
+    for number, difference in enumerate(magnitudes[1:], 1):
         believed = max(difference, believed / _ratio_of_differences(sizes[number - 1:number + 2], ORDERS[1]))
     if believed <= ROUND_OFF:
         return believed
     order = ORDERS[0]
-    if _fall_regularly(differences):
-        order = _order(differences[-2] / differences[-1], sizes[-3:])
+    if _fall_regularly(magnitudes):
+        turns = differences[-1] * differences[-2] < 0
+        order = 1.0 if turns else _order(differences[-2] / differences[-1], sizes[-3:])
     return SAFETY * believed / ((sizes[-2] / sizes[-1]) ** order - 1)
 
 
@@ -132,6 +162,11 @@ def keeps_narrowing(shares: Sequence[float | None]) -> bool:
         return False
     falls = -np.diff(np.log(found))
     return bool(falls[-1] > np.log(NARROWING) and falls[-1] > STEADY_NARROWING * falls[-2])
+
+
+def fall_regularly(differences: Sequence[np.ndarray]) -> bool:
+    """Whether the differences (quantities,) between neighbours, from the coarsest, fall regularly in each quantity."""
+    return all(_fall_regularly(of_one) or max(of_one) <= ROUND_OFF for of_one in zip(*differences))
 
 
 def converge_for_sure(differences: Sequence[np.ndarray], small: np.ndarray) -> bool:

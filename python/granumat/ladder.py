@@ -34,6 +34,7 @@ MODELS_DIFFER = 1.5                 # one coarse mesh's error over the other's, 
 INFLATION = 1.5                     # of predicted errors at least, after a recommendation that failed its proof
 ATTEMPTS = 5                        # recommendations that are proved before the top itself is recommended
 LOCALISES = "the shear localises: the share of the body that does half of it goes on falling with the cells"
+CONVERGES = "The quantities converge nevertheless; strains and states where it localises do not, and depend on the mesh"
 FEWEST_RUNS = 4                     # of a budget: the file, the top, the recommendation and one to compare
 
 
@@ -178,10 +179,11 @@ class Ladder:
         if not spent:
             findings += self._own(axis, found[good[0]], rest)
         fine = [number for number in good if number <= axis.start + 1
-                and (self.errors(found[number], found[good[0]]) <= SHARE_OF_STUDY * self.tolerances).all()]
+                and (self.errors(found[number], found[good[0]]) <= SHARE_OF_STUDY * self.tolerances).all()]       # the finest is
         self.setting[axis.name] = axis.rungs[max(fine)]
-        remark = LOCALISES if axis.name == "mesh" and self._narrows(found) else ""
-        return Study(axis, tuple(findings), is_complete=not spent, remark=remark)
+        remarks = [f"{LOCALISES}. {CONVERGES}"] if axis.name == "mesh" and self._narrows(found) else []
+        remarks += [f"No rung is fine enough: {self._finest_in_words(axis, found, rest)}"] if (rest > self.tolerances).any() else []
+        return Study(axis, tuple(findings), is_complete=not spent, remark=". ".join(remarks))
 
     def _time_of_own(self, axis: Axis, found: Mapping[int, Result]) -> float:
         """Time of the file's own rung over the finest one's, if it is one of those that were run; otherwise as long as that."""
@@ -192,16 +194,19 @@ class Ladder:
     def _verdict(self, axis: Axis, found: Mapping[int, Result], rest: np.ndarray) -> str:
         """Why none of a sequence's rungs can be recommended."""
         good = _good(found)
-        failures = [_failure(result) for result in found.values() if result.failure]
         if len(good) < 2:
-            return "no two of them can be compared: " + failures[0]
+            return "no two of them can be compared: " + next(_failure(result) for result in found.values() if result.failure)
         if axis.name == "mesh" and self._narrows(found) and not self._converges_for_sure(found):
             return f"{LOCALISES}. It needs a length or a rate term, and no mesh can be recommended"
-        if (rest > self.tolerances).any():
-            return (f"none of them is known to be fine enough: {axis.rungs[good[0]].name} may be off by " + ", ".join(
-                f"{error:.1%} ({quantity.name})" for quantity, error in zip(self.quantities, rest))
-                + "".join(f"; a finer one {failure}" for failure in failures[-1:]))
+        if (rest > self.tolerances).any() and not estimate.fall_regularly(self._differences(found)):
+            return f"does not converge, so that none can be recommended: {self._finest_in_words(axis, found, rest)}"
         return ""
+
+    def _finest_in_words(self, axis: Axis, found: Mapping[int, Result], rest: np.ndarray) -> str:
+        failures = [_failure(result) for result in found.values() if result.failure]
+        errors = ", ".join(f"{error:.1%} ({quantity.name})" for quantity, error in zip(self.quantities, rest))
+        finest = f"even the finest rung, {axis.rungs[_good(found)[0]].name}, may be off by {errors}"
+        return finest + "".join(f"; a finer one {failure}" for failure in failures[-1:])
 
     def _refine(self, axis: Axis, found: dict[int, Result]) -> None:
         """Run rungs of a sequence until the finest is fine enough, or one cannot be computed although a coarser one could."""
@@ -221,8 +226,9 @@ class Ladder:
 
     def _remainder(self, axis: Axis, found: Mapping[int, Result]) -> np.ndarray:
         """What the finest rung of a sequence is off by."""
-        differences, sizes = self._differences(found), [axis.rungs[number].size for number in reversed(_good(found))]
-        return estimate.remainders(differences, sizes) if differences else np.full(len(self.quantities), np.inf)
+        numbers = list(reversed(_good(found)))
+        return estimate.remainders([found[number] for number in numbers], [axis.rungs[number].size for number in numbers],
+                                   self.quantities)
 
     def _narrows(self, found: Mapping[int, Result]) -> bool:
         return estimate.keeps_narrowing([found[number].share for number in reversed(_good(found))])
@@ -307,12 +313,12 @@ class Ladder:
                 if chosen is None:
                     break
                 self._prove(chosen)
-                if report.is_proved:
+                if report.is_within:
                     break
                 inflation *= INFLATION
         except BudgetSpent:
             report.undecided.append("a proof of a finer recommendation than the one that failed it")
-        if not report.choice or not report.is_proved:
+        if not report.choice or not report.is_within:
             self._prove(top)
         self._keep_what_costs_nothing()
         report.alone = {quantity.name: chosen for number, quantity in enumerate(self.quantities)
@@ -341,7 +347,7 @@ class Ladder:
             except BudgetSpent:
                 report.undecided.append(f"whether {chosen.rung.name} saves time in the recommendation")
                 return
-            if poorer < (1 - LEAST_SAVING) * report.recommended.seconds or not report.is_proved:
+            if poorer < (1 - LEAST_SAVING) * report.recommended.seconds or not report.is_within:
                 report.choice, report.recommended, report.measured = proved
 
     def _content(self, choice: Choice) -> Content:

@@ -45,7 +45,7 @@ def comments(report: Report, file: Path) -> list[str]:
                      f"the finest model's own error at most {report.of_top[number]:.2%})")
     lines += [f"The error of the {' and the '.join(report.unknown)}, which is the file's own, is NOT known: see ladder.txt."
               ] if report.unknown else []
-    return lines + ([] if report.is_proved else ["NOT within the tolerances: see ladder.txt."])
+    return lines + ([] if report.is_within else ["NOT within the tolerances: see ladder.txt."])
 
 
 # ---- rows ---------------------------------------------------------------------------------------------------------------
@@ -154,7 +154,7 @@ def _results(report: Report) -> list[str]:
     if report.unknown:
         found.append(f"NONE OF THESE HAS THE ERROR OF THE {' AND THE '.join(report.unknown).upper()}, which is the file's own: "
                      "that error is not known (below).")
-    if not report.is_proved:
+    if not report.is_within:
         found.append("THE TOLERANCE IS NOT PROVED: no rung, not even the top, is known to be within it.")
     if report.recommended.failure:
         found.append(f"The recommended model cannot be run to its end: {report.recommended.failure.splitlines()[0]}")
@@ -193,8 +193,7 @@ def _nearest(report: Report, failing: Sequence[Finding]) -> list[Finding]:
 
 def _verdicts(report: Report) -> list[str]:
     found = [f"{study.axis.name}: {study.verdict}." for study in report.studies if study.verdict]
-    return found + [f"{study.axis.name}: {study.remark}. The quantities converge nevertheless; strains and states where it "
-                    "localises do not, and depend on the mesh." for study in report.studies if study.remark]
+    return found + [f"{study.axis.name}: {study.remark}." for study in report.studies if study.remark]
 
 
 def _floor(report: Report) -> list[str]:
