@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .coarsen import MODEL, NUMERICS, Axis, Content, Rung
+from .coarsen import DIMENSION, MODEL, NUMERICS, Axis, Content, Rung
 from .quantities import Quantity
 from .runs import Result
 
@@ -152,7 +152,8 @@ def time_of(choice: Choice) -> float:
 def choose(studies: Sequence[Study], tolerances: np.ndarray, quantity: int | None = None) -> dict[str, Finding] | None:
     """The choice that takes the least time of those whose errors add up below the tolerances.
 
-    A rung of the choice that saves less than 10 % against a better one gives way to it, if the sum still allows it.
+    A rung of the choice that saves less than 10 % against a better one gives way to it, if the sum still allows it. A symmetry that
+    holds is used.
 
     Parameters
     ----------
@@ -172,7 +173,8 @@ def choose(studies: Sequence[Study], tolerances: np.ndarray, quantity: int | Non
         return bool((predicted(choice)[which] <= tolerances[which]).all())
 
     names = [study.axis.name for study in studies]
-    candidates = [study.findings[:1] if study.verdict else study.findings for study in studies]
+    candidates = [study.findings[:1] if study.verdict else study.findings[-1:] if study.axis.kind == DIMENSION else study.findings
+                  for study in studies]
     choices = [dict(zip(names, findings)) for findings in itertools.product(*candidates)]
     choices = [choice for choice in choices if allowed(choice)]
     if not choices:

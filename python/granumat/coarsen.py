@@ -156,7 +156,7 @@ def path_axes(content: Content) -> list[Axis]:
     distinct = [rung for number, rung in enumerate(increments)
                 if PATH_FACTORS[number] <= 1 or rung.change(content) != increments[number - 1].change(content)]
     axes = [Axis("increment", NUMERICS, tuple(distinct), min(4, len(distinct) - 1), True)] if len(distinct) > 3 else []
-    if any("control" in step or "free" in step or "test" in step for step in content.get("step", [])):
+    if any(_frees(step) for step in content.get("step", [])):
         own = content.get("tolerance", TOLERANCE)
         values = sorted({*PATH_TOLERANCES, own})
         rungs = tuple(Rung(f"{value:g}", _path_tolerance(value)) for value in values if value <= max(own, PATH_TOLERANCES[-1]))
@@ -378,8 +378,13 @@ def with_noise(content: Content) -> Content:
 
 
 def bare(content: Content) -> Content:
-    """The content without what a run would write besides its quantities, so that the time of a run is that of computing."""
+    """The content without what a run would write besides its quantities, so that the time of a run is that of computing.
+
+    Also without tolerances and scales of quantities, with which a run has nothing to do.
+    """
     output = {key: value for key, value in content.get("output", {}).items() if key in ("probes", "center", "acoustic")}
     if "mesh" in content:                                        # a record of the fields at the start and at the end
         output["every"] = 10**9
-    return {**content, "output": output}
+    quantities = [{key: value for key, value in entry.items() if key not in ("tolerance", "scale")}
+                  for entry in content.get("quantity", [])]
+    return {**content, "output": output, **({"quantity": quantities} if quantities else {})}

@@ -254,7 +254,8 @@ def draw(report: Report, title: str) -> Any:
         known = [finding for finding in study.findings if finding.is_known and np.isfinite(finding.errors).all()]
         points = sorted((time_over_file(report, study, finding), height(errors_with(report, study, finding))) for finding in known)
         if len(points) > 1:
-            axes.plot(*zip(*points), "o-", color=colour, markersize=4, linewidth=0.8, label=study.axis.name)
+            style = "o" if study.axis.kind == MODEL else "o-"    # models are in no order
+            axes.plot(*zip(*points), style, color=colour, markersize=5, linewidth=0.8, label=study.axis.name)
     reference = report.file if report.file is not None and not report.file.failure else report.top
     over = max(reference.seconds, TINY)
     if reference is report.file and np.isfinite(report.of_file).all():
@@ -262,12 +263,13 @@ def draw(report: Report, title: str) -> Any:
     axes.plot(report.recommended.seconds / over, height(report.measured), "*", color="black", markersize=15,
               label="recommended, measured")
     axes.axhline(1, color="black", linewidth=1, linestyle="--", label="tolerance")
+    axes.set(xscale="log", yscale="log")
     floor = height(report.floor)
     if floor > LEAST_DRAWN:
-        axes.axhspan(axes.get_ylim()[0] if axes.get_ylim()[0] > 0 else LEAST_DRAWN, floor, color="0.92", zorder=0,
-                     label="floor: constants known no better")
-    axes.set(xscale="log", yscale="log", title=title,
-             xlabel=f"time over that of the {'file' if reference is report.file else 'top'}",
+        bottom = min(axes.get_ylim()[0], floor / 2)
+        axes.axhspan(bottom, floor, facecolor="0.94", edgecolor="0.6", zorder=0, label="floor: constants known no better")
+        axes.set_ylim(bottom=bottom)
+    axes.set(title=title, xlabel=f"time over that of the {'file' if reference is report.file else 'top'}",
              ylabel="largest error over its tolerance")
     axes.grid(linewidth=0.3)
     axes.legend(frameon=False, fontsize=8)

@@ -37,7 +37,7 @@ class Result:
     seconds : float
         The run's own time.
     signature : dict of str to array (n,)
-        "t", and of the whole body: "strain", the accumulated shear strain where it is sheared, "p", "shear" and "normal", the
+        "t", and as means where the body is sheared: "strain", the accumulated shear strain, "p", "shear" and "normal", the
         deviatoric stress along the direction of straining and across it. From them follows why another run differs.
     share : float or None
         The share of the body that does half of the shear; None at a point.
@@ -244,10 +244,10 @@ def split_stress(stress: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray,
     Returns
     -------
     shear, normal : array (n,)
-        In the measure sqrt(X:X/2). The first is negative where the stress helps the straining, as right after a reversal.
+        In the measure sqrt(X:X/2). The first is negative right after a reversal, where the stress still has the old direction.
     """
     deviator, along = tensors.deviator(stress), tensors.deviator(direction)
     size = tensors.magnitude(along)
     along = along / np.where(size > 0, size, 1.0)[..., None]
     shear = tensors.contract(deviator, along) / 2
-    return -shear, tensors.magnitude(deviator - shear[..., None] * along)
+    return shear, tensors.magnitude(deviator - shear[..., None] * along)

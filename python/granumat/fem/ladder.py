@@ -110,9 +110,9 @@ def _failure(scene: Scene, problem: Problem, observers: list[Any]) -> str:
 class Monitor(Table):
     """An observer that measures the time of a run, and writes what tells why one run differs from another.
 
-    Columns are t, the shear strain where the body is sheared, the body's means of the pressure and of the deviatoric stress along
-    and across the straining, the share of the body that does half of the shear, and the smallest transverse modulus. Put it first:
-    its own time is left out.
+    Columns are t, the accumulated shear strain, the pressure and the deviatoric stress along and across the straining, all as means
+    over the body that are weighted by the shear of the increment, the share of the body that does half of the shear, and the
+    smallest transverse modulus. Put it first: its own time is left out.
 
     Parameters
     ----------
@@ -154,13 +154,14 @@ class Monitor(Table):
         increment = 2 * tensors.magnitude(tensors.deviator(tensors.symmetric(problem.last.gradients)))
         shear, normal = split_stress(problem.states["stress"], problem.states["direction"])
         p = -tensors.trace(problem.states["stress"]) / 3
-        sums = problem.comm.allreduce(np.array([volumes @ values for values in (
-            np.ones_like(p), increment, increment**2, p, shear, normal)]))
-        self._strain += sums[2] / sums[1] if sums[1] > 0 else 0.0
+        weights = volumes * np.maximum(increment, np.finfo(float).tiny)
+        total, *sums = problem.comm.allreduce(np.array([weights @ values for values in (
+            np.ones_like(p), increment, p, shear, normal)])).tolist()
+        strain, *means = (value / total for value in sums)
+        self._strain += strain
         least = problem.comm.allreduce(float(problem.material.transverse_modulus(problem.states).min(initial=np.inf)), MPI.MIN)
-        self.append_row(problem.comm, {"t": problem.t, "strain": self._strain, "p": sums[3] / sums[0], "shear": sums[4] / sums[0],
-                                       "normal": sums[5] / sums[0], "share": share_of_shear(problem.comm, increment, volumes),
-                                       "eta_t": least})
+        self.append_row(problem.comm, {"t": problem.t, "strain": self._strain, **dict(zip(("p", "shear", "normal"), means)),
+                                       "share": share_of_shear(problem.comm, increment, volumes), "eta_t": least})
 
 
 def share_of_shear(comm: MPI.Comm, shear: np.ndarray, volumes: np.ndarray) -> float:
