@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ["fortran/base/kinds.f90", "fortran/exact/relaxation.f90", "tests/fortran/relaxation_weights.f90"]
-PLACES = np.append((1 - np.polynomial.legendre.leggauss(4)[0]) / 2, 0.0)      # u = 1 - t of the Gauss points and the end
+SOURCES = ["fortran/base/kinds.f90", "fortran/base/quadrature.f90", "fortran/exact/relaxation.f90", "tests/fortran/relaxation_weights.f90"]
+PLACES = np.append(0.0, (1 + np.polynomial.legendre.leggauss(4)[0]) / 2)      # u = 1 - t of the end and of the Gauss points
 RATIOS = np.geomspace(1e-3, 1e3, 301)
 ERROR = 1e-13                # of the largest weight: the round-off of five distinct places
 

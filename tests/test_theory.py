@@ -105,7 +105,7 @@ class Law:
 
 
 class Substep:
-    """5.6: one substep, a share of the increment; forward, and (7) backward."""
+    """5.7: one substep, a share of the increment; forward, and (7) backward."""
 
     def __init__(self, law, inc, share, A, excess, phi, dev):
         c, self.law, self.inc, self.share = law.c, law, inc, share

@@ -183,13 +183,9 @@ contains
     real(dp), intent(in) :: w(LANES, 3)
     real(dp) :: R(LANES, 3, 3), angle(LANES), first(LANES), second(LANES)
 
-    angle = rotation_angle(w)
-    first = 1
-    second = 0.5_dp
-    where (angle > 0)
-      first = sin(angle) / angle
-      second = (sin(angle / 2) / (angle / 2))**2 / 2
-    end where
+    angle = max(rotation_angle(w), 1.0e-100_dp)       ! where both factors are 1 and 1/2
+    first = sin(angle) / angle
+    second = (sin(angle / 2) / (angle / 2))**2 / 2
     R = rotation_of(w, first, second)
   end function rotation
 

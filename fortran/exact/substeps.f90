@@ -9,7 +9,7 @@ module granumat_substeps
   use granumat_increment, only: increment
   use granumat_law, only: critical_state
   use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_quadrature, only: N_NODES, exponential
+  use granumat_quadrature, only: choose_rules, gauss_rules, N_NODES, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
   use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
@@ -19,11 +19,14 @@ module granumat_substeps
   private
   public :: integrate, take_substep
 
-  integer, parameter, public :: AT_END = N_NODES + 1     ! index of the end of a substep, after its quadrature nodes
+  integer, parameter, public :: AT_END = 0     ! index of the end of a substep, before its quadrature nodes
   integer, parameter, public :: MAX_SUBSTEPS = 10000
 
   ! rate bound times substep: with it the four Gauss points err by 1e-13 (tests/test_exact.py)
   real(dp), parameter :: SUBSTEP_RATE = 0.4_dp
+  real(dp), parameter :: QUADRATURE_ERROR = 1.0e-12_dp   ! bound of what one to three nodes may err by
+  ! of the rule's error over rate^(2 n + 1): 2 (n!)^4/((2 n + 1) ((2 n)!)^2), for n = 1 ... N_NODES - 1
+  real(dp), parameter :: RULE_ERROR(N_NODES - 1) = [1 / 6.0_dp, 1 / 90.0_dp, 1 / 1400.0_dp]
   ! with e_r > 0 substeps are smaller by this: the interpolation in the kernel has half the order of Gauss's rule
   real(dp), parameter :: RELAXATION_REFINEMENT = 1.5_dp
   ! in the critical-state closure only spin and volume strain change the model's stress, and these rates are tight
@@ -46,19 +49,22 @@ module granumat_substeps
   type, public :: substep_start
     type(internal_state) :: x
     real(dp) :: share(LANES), log_phi_end(LANES)
+    integer :: nodes(LANES)            !! of the quadrature
   end type substep_start
 
-  !> A substep, 0 <= t <= 1, with everything that its adjoint needs; quadrature nodes come first, the end last.
+  !> A substep, 0 <= t <= 1, with everything that its adjoint needs; the end, with the index AT_END, comes before the nodes.
   type, public :: substep_solution
     real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 5), w(LANES, 3)
     real(dp), dimension(LANES, N_NODES) :: t, dt, phi, y, A_S, growth, integrand
     real(dp) :: y_end(LANES)
-    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)       !! at the nodes only with e_r > 0
-    ! With e_r > 0. Index 0 is the deviator at the start.
-    real(dp), dimension(LANES, 5, 0:AT_END) :: rotated           !! deviators rotated to the end; 0: and decayed
-    real(dp) :: p(LANES, AT_END), dev_over_p(LANES, 5, AT_END)   !! the model's pressure, and its deviator over pressure
-    real(dp) :: weights(LANES, 0:AT_END)                         !! of granumat_relaxation; 0: exp(-ratio)
-    real(dp) :: R(LANES, 5, 5, 0:N_NODES)                        !! rotations of deviators to the end
+    real(dp) :: A(LANES, 5, 0:N_NODES), excess(LANES, 0:N_NODES)       !! at the nodes only with e_r > 0
+    ! with e_r > 0
+    real(dp) :: decay(LANES), old(LANES, 5)                            !! exp(-ratio), and the old deviator decayed and rotated
+    real(dp) :: p(LANES, 0:N_NODES), dev_over_p(LANES, 5, 0:N_NODES)   !! the model's pressure, and its deviator over pressure
+    real(dp) :: rotated(LANES, 5, 0:N_NODES)                           !! the model's deviators rotated to the end
+    real(dp) :: u(LANES, 0:N_NODES), weights(LANES, 0:N_NODES)         !! 1 - t, and weights of granumat_relaxation
+    real(dp) :: R(LANES, 5, 5, N_NODES), R_old(LANES, 5, 5)            !! rotations of deviators to the end
+    type(gauss_rules) :: rules
     type(fabric_solution) :: fabric
   end type substep_solution
 
@@ -108,8 +114,8 @@ contains
     type(internal_state), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
     type(substep_record), intent(inout) :: record
-    real(dp), dimension(LANES) :: remainder, next_remainder, rate, steps, log_phi_start, log_phi_next, mod_A
-    integer :: step
+    real(dp), dimension(LANES) :: remainder, next_remainder, rate, graded_rate, taken, log_phi_start, log_phi_next, mod_A
+    integer :: step, nodes(LANES)
 
     mod_A = magnitude(x%A)
     rate = rate_bound(par, inc, mod_A)
@@ -121,11 +127,14 @@ contains
       if (any(mod_A > par%fabric_limit)) then           ! above the limit |A| can grow, and the bound with it
         rate = merge(rate_bound(par, inc, mod_A), rate, mod_A > par%fabric_limit)
       end if
-      steps = remainder * kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end) / SUBSTEP_RATE
-      next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
+      graded_rate = kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end)
+      taken = remainder / aint(1 + min(remainder * graded_rate / SUBSTEP_RATE, real(MAX_SUBSTEPS, dp)))
+      next_remainder = remainder - taken
+      nodes = N_NODES
+      if (par%elastic_strain > 0) nodes = nodes_needed(par, remainder > 0, taken * graded_rate, taken * inc%mod_D)
       log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
-      if (record%all_wanted) call add_start(record, substep_start(x, remainder - next_remainder, log_phi_next))
-      call take_substep(par, inc, remainder - next_remainder, log_phi_next, x, record%solution, status)
+      if (record%all_wanted) call add_start(record, substep_start(x, remainder - next_remainder, log_phi_next, nodes))
+      call take_substep(par, inc, remainder - next_remainder, log_phi_next, nodes, x, record%solution, status)
       remainder = merge(next_remainder, 0.0_dp, status == OK)
       mod_A = magnitude(x%A)
     end do
@@ -170,6 +179,27 @@ contains
     end if
   end function rate_bound
 
+  !> Gauss points of a substep with e_r > 0: as few as keep the error below QUADRATURE_ERROR, the most in a substep of usual size
+  !! (docs/theory.md, section 5.5).
+  pure function nodes_needed(par, moves, rate, mod_D) result(nodes)
+    type(material_parameters), intent(in) :: par
+    logical, intent(in) :: moves(LANES)     ! where a substep is taken; elsewhere any number will do
+    real(dp), intent(in) :: rate(LANES)     ! rate bound times share
+    real(dp), intent(in) :: mod_D(LANES)    ! |D| of the substep
+    integer :: nodes(LANES), n
+    real(dp), dimension(LANES) :: kernel_rate, power
+
+    kernel_rate = max(rate, min(mod_D / par%elastic_strain, 1.0_dp))
+    power = rate
+    nodes = 1
+    do n = 1, N_NODES - 1
+      power = power * rate * kernel_rate
+      nodes = merge(n + 1, nodes, RULE_ERROR(n) * power > QUADRATURE_ERROR)
+    end do
+    nodes = merge(nodes, 1, moves)
+    nodes = merge(nodes, maxval(nodes), moves)
+  end function nodes_needed
+
   !> The rate bound near kinks, so that substeps shrink with the distance to them.
   !!
   !! Kinks are phi = phic for Z2, where the quadrature in sqrt(ln(phi/phic)) is exact but its nodes crowd, and with e_r > 0, where
@@ -201,94 +231,106 @@ contains
   end function kink_rate_bound
 
   !> Takes one substep: phi, then the fabric, then the coordination number, then the stress.
-  pure subroutine take_substep(par, inc, share, log_phi_end, x, step, status)
+  pure subroutine take_substep(par, inc, share, log_phi_end, nodes, x, step, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES)          ! of the increment
     real(dp), intent(in) :: log_phi_end(LANES)    ! ln(phi/phic) at the end
+    integer, intent(in) :: nodes(LANES)           ! of the quadrature
     type(internal_state), intent(inout) :: x
     type(substep_solution), intent(out) :: step
     integer, intent(inout) :: status(LANES)
-    integer :: i
+    real(dp) :: one(LANES)
 
     step%share = share
     step%mod_D = share * inc%mod_D
     step%tr_D = share * inc%tr_D
     step%S = times(step%mod_D, inc%S_hat)
     step%w = times_spin(share, inc%spin)
-    call quadrature_nodes(x%log_phi, log_phi_end, step%t, step%dt)
-    do i = 1, N_NODES
+    if (par%closure /= CRITICAL) then
+      call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
+      one = 1
+      call fabric_at(step%fabric, one, step%A(:, :, AT_END), step%y_end)
+      where (status == OK .and. .not. (step%y_end > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
+        status = FABRIC_BLOWS_UP
+    end if
+    call choose_rules(nodes, par%elastic_strain > 0, step%rules)
+    select case (step%rules%n)         ! numbers that the compiler knows: loops over nodes are unrolled
+    case (1)
+      call integrate_at_nodes(1, par, inc, log_phi_end, x, step)
+    case (2)
+      call integrate_at_nodes(2, par, inc, log_phi_end, x, step)
+    case (3)
+      call integrate_at_nodes(3, par, inc, log_phi_end, x, step)
+    case default
+      call integrate_at_nodes(N_NODES, par, inc, log_phi_end, x, step)
+    end select
+    x%A = step%A(:, :, AT_END)
+    x%excess = step%excess(:, AT_END)
+    if (.not. par%elastic_strain > 0) x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
+  end subroutine take_substep
+
+  !> What a substep integrates by quadrature with at most n nodes: the coordination number, and with e_r > 0 the stress.
+  pure subroutine integrate_at_nodes(n, par, inc, log_phi_end, x, step)
+    integer, intent(in) :: n
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: log_phi_end(LANES)
+    type(internal_state), intent(inout) :: x      ! phi goes to the end, and with e_r > 0 the deviator
+    type(substep_solution), intent(inout) :: step
+    integer :: i
+
+    call quadrature_nodes(step%rules, x%log_phi, log_phi_end, step%t, step%dt)
+    do i = 1, n
       step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
     end do
     x%phi = x%phi * exponential(-step%tr_D)
     step%phi_end = x%phi
     x%log_phi = log_phi_end
     if (par%closure == CRITICAL) then
-      do i = 1, N_NODES
+      do i = 1, n
         call critical_state(par, inc%S_hat, step%phi(:, i), step%A(:, :, i), step%excess(:, i))
       end do
       call critical_state(par, inc%S_hat, x%phi, step%A(:, :, AT_END), step%excess(:, AT_END))
     else
-      call evolve_microstructure(par, x, step, status)
+      call projections_at(par, step%fabric, step%t, step%y, step%A_S)
+      if (par%elastic_strain > 0) then
+        do i = 1, n
+          call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
+        end do
+      end if
+      call integrate_coordination(par, n, step%rules, x%excess, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, &
+        step%t, step%dt, par%elastic_strain > 0, step%growth, step%integrand, step%excess)
     end if
-    x%A = step%A(:, :, AT_END)
-    x%excess = step%excess(:, AT_END)
-    if (par%elastic_strain > 0) then
-      call relax(par, inc, step, x%dev)
-    else
-      x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
-    end if
-  end subroutine take_substep
-
-  !> Fabric and coordination number of a substep.
-  pure subroutine evolve_microstructure(par, x, step, status)
-    type(material_parameters), intent(in) :: par
-    type(internal_state), intent(in) :: x         ! at the start
-    type(substep_solution), intent(inout) :: step
-    integer, intent(inout) :: status(LANES)
-    real(dp) :: one(LANES)
-    integer :: i
-
-    call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
-    call projections_at(par, step%fabric, step%t, step%y, step%A_S)
-    if (par%elastic_strain > 0) then
-      do i = 1, N_NODES
-        call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
-      end do
-    end if
-    one = 1
-    call fabric_at(step%fabric, one, step%A(:, :, AT_END), step%y_end)
-    where (status == OK .and. .not. (step%y_end > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
-      status = FABRIC_BLOWS_UP
-    call integrate_coordination(par, x%excess, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
-      par%elastic_strain > 0, step%growth, step%integrand, step%excess)
-  end subroutine evolve_microstructure
+    if (par%elastic_strain > 0) call relax(n, par, inc, step, x%dev)
+  end subroutine integrate_at_nodes
 
   !> The deviatoric stress after a substep with e_r > 0: what is left of the old one, and the model's at the nodes and the end by
   !! their weights, all rotated to the end.
-  pure subroutine relax(par, inc, step, dev)
+  pure subroutine relax(n, par, inc, step, dev)
+    integer, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(substep_solution), intent(inout) :: step
     real(dp), intent(inout) :: dev(LANES, 5)
-    real(dp) :: ratio(LANES), u(LANES, AT_END), one(LANES)
+    real(dp) :: ratio(LANES), one(LANES)
     integer :: i
 
     one = 1
     ratio = step%mod_D / par%elastic_strain
-    u(:, :N_NODES) = 1 - step%t
-    u(:, AT_END) = 0
-    step%weights(:, 0) = exp(-ratio)
-    step%weights(:, 1:) = relaxation_weights(ratio, u)
-    step%R(:, :, :, 0) = rotation_of_deviators(small_rotation(step%w))
-    dev = times(step%weights(:, 0), matrix_times(step%R(:, :, :, 0), dev))
-    step%rotated(:, :, 0) = dev
-    do i = 1, AT_END
+    step%u(:, AT_END) = 0
+    step%u(:, 1:) = 1 - step%t
+    step%decay = exp(-ratio)
+    step%weights = relaxation_weights(ratio, step%u, step%rules%nodes, n)
+    step%R_old = rotation_of_deviators(small_rotation(step%w))
+    dev = times(step%decay, matrix_times(step%R_old, dev))
+    step%old = dev
+    do i = 0, n
       step%p(:, i) = pressure(par, pressure_factor(par, step%A(:, :, i), inc%tr_direction), step%excess(:, i))
       step%dev_over_p(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
       step%rotated(:, :, i) = times(step%p(:, i), step%dev_over_p(:, :, i))
-      if (i < AT_END) then
-        step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
+      if (i /= AT_END) then
+        step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(step%u(:, i), step%w)))
         step%rotated(:, :, i) = matrix_times(step%R(:, :, :, i), step%rotated(:, :, i))
       end if
       dev = dev + times(step%weights(:, i), step%rotated(:, :, i))

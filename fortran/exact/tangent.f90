@@ -12,7 +12,7 @@ module granumat_tangent
   use granumat_increment, only: increment
   use granumat_law, only: excess_target, excess_target_slope
   use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_quadrature, only: INTEGRAL, N_NODES, exponential
+  use granumat_quadrature, only: N_NODES, exponential
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_status, only: OK
   use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes
@@ -40,16 +40,16 @@ module granumat_tangent
 
   !> The derivatives of one function by A and Z2 - Zc at the quadrature nodes and the end of a substep.
   type :: node_adjoint
-    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)
+    real(dp) :: A(LANES, 5, 0:N_NODES), excess(LANES, 0:N_NODES)
   end type node_adjoint
 
   !> What the adjoints of all functions share in a substep, at the nodes (only with e_r > 0) and the end.
   type :: shared_derivatives
-    real(dp) :: weight(LANES, 0:MAX_TERMS, AT_END)            !! t^k, 0 where a lane needs no such term
-    real(dp) :: by_y(LANES, 0:MAX_TERMS, AT_END)              !! of Z2 - Zc there by y_k of the fabric
-    real(dp), dimension(LANES, AT_END) :: inverse_y           !! 1/y
-    real(dp), dimension(LANES, AT_END) :: by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi   !! of Z2 - Zc there
-    integer :: first, terms
+    real(dp) :: weight(LANES, 0:MAX_TERMS, 0:N_NODES)         !! t^k, 0 where a lane needs no such term
+    real(dp) :: by_y(LANES, 0:MAX_TERMS, 0:N_NODES)           !! of Z2 - Zc there by y_k of the fabric
+    real(dp), dimension(LANES, 0:N_NODES) :: inverse_y        !! 1/y
+    real(dp), dimension(LANES, 0:N_NODES) :: by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi   !! of Z2 - Zc there
+    integer :: last, terms
   end type shared_derivatives
 
 contains
@@ -71,7 +71,8 @@ contains
       if (i < record%steps) then
         again = record%earlier(i)%x
         status = OK
-        call take_substep(par, inc, record%earlier(i)%share, record%earlier(i)%log_phi_end, again, record%solution, status)
+        call take_substep(par, inc, record%earlier(i)%share, record%earlier(i)%log_phi_end, record%earlier(i)%nodes, again, &
+          record%solution, status)
       end if
       call adjoint_substep(par, inc, record%solution, f(:n))
     end do
@@ -135,6 +136,26 @@ contains
     type(increment), intent(in) :: inc
     type(substep_solution), intent(in) :: step
     type(adjoint), intent(inout) :: f(:)
+
+    select case (step%rules%n)         ! as in take_substep
+    case (1)
+      call adjoint_with_nodes(1, par, inc, step, f)
+    case (2)
+      call adjoint_with_nodes(2, par, inc, step, f)
+    case (3)
+      call adjoint_with_nodes(3, par, inc, step, f)
+    case default
+      call adjoint_with_nodes(N_NODES, par, inc, step, f)
+    end select
+  end subroutine adjoint_substep
+
+  !> The same with at most n_nodes.
+  pure subroutine adjoint_with_nodes(n_nodes, par, inc, step, f)
+    integer, intent(in) :: n_nodes
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(substep_solution), intent(in) :: step
+    type(adjoint), intent(inout) :: f(:)
     type(shared_derivatives) :: shared
     type(node_adjoint) :: at(N_ADJOINTS_3D)
     integer :: i, n
@@ -145,22 +166,23 @@ contains
       at(i)%excess(:, AT_END) = f(i)%excess
       f(i)%tr_D = f(i)%tr_D - step%share * f(i)%log_phi
     end do
-    if (par%elastic_strain > 0) call adjoint_relaxation(par, inc, step, f(:n - 1), at(:n - 1))
+    if (par%elastic_strain > 0) call adjoint_relaxation(n_nodes, par, inc, step, f(:n - 1), at(:n - 1))
     if (par%closure == CRITICAL) then
       do i = 1, n
-        call adjoint_critical_state(par, step, merge(1, AT_END, par%elastic_strain > 0 .and. i < n), at(i), f(i))
+        call adjoint_critical_state(par, step, merge(n_nodes, AT_END, par%elastic_strain > 0 .and. i < n), at(i), f(i))
       end do
     else
-      call share_derivatives(par, step, shared)
+      call share_derivatives(n_nodes, par, step, shared)
       do i = 1, n
-        call adjoint_coordination(par, step, shared, merge(shared%first, AT_END, i < n), at(i), f(i))
+        call adjoint_coordination(n_nodes, par, step, shared, merge(shared%last, AT_END, i < n), at(i), f(i))
       end do
     end if
-  end subroutine adjoint_substep
+  end subroutine adjoint_with_nodes
 
   !> The derivatives of Z2 - Zc at the nodes and the end, m, which all adjoints share (docs/theory.md, section 7.6), from
   !!   (Z2 - Zc)_m = decay_m [(Z2 - Zc)_0 + sum_i INTEGRAL(i, m) growth_i dt_i forcing_i],  decay_m = exp(-d2 |D| t_m).
-  pure subroutine share_derivatives(par, step, shared)
+  pure subroutine share_derivatives(n, par, step, shared)
+    integer, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(out) :: shared
@@ -170,41 +192,43 @@ contains
     real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
     integer :: i, k, m
 
-    shared%first = merge(1, AT_END, par%elastic_strain > 0)
+    shared%last = merge(n, AT_END, par%elastic_strain > 0)
     shared%terms = count([(any(step%fabric%bound(:, i) >= ADJOINT_SERIES_TOLERANCE), i = 0, step%fabric%terms - 1)])
-    do i = 1, N_NODES
+    do i = 1, n
       f(:, i) = excess_target(par, step%phi(:, i) - par%phic)
       f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_target_slope(par, step%phi(:, i) - par%phic)
     end do
-    shared%inverse_y(:, :N_NODES) = 1 / step%y
+    do i = 1, n
+      shared%inverse_y(:, i) = 1 / step%y(:, i)
+    end do
     shared%inverse_y(:, AT_END) = 1 / step%y_end
     before = 1
     needed(:, 0) = 1
     by_y(:, :, 0) = 0
     do k = 1, shared%terms                              ! by lane: a point's tangent does not depend on its neighbours
       needed(:, k) = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= ADJOINT_SERIES_TOLERANCE)
-      do i = 1, N_NODES
+      do i = 1, n
         by_y(:, i, k) = -par%d1 * needed(:, k) * before(:, i) * (k / par%c3 + step%t(:, i) * step%A_S(:, i)) &
           * shared%inverse_y(:, i)
         before(:, i) = before(:, i) * step%t(:, i)
       end do
     end do
-    do m = shared%first, AT_END
+    do m = 0, shared%last
       t = 1
       decay = exponential(-par%d2 * step%mod_D)
-      if (m < AT_END) t = step%t(:, m)
-      if (m < AT_END) decay = 1 / step%growth(:, m)
-      do i = 1, N_NODES
-        kernel(:, i) = INTEGRAL(i, m) * step%growth(:, i) * step%dt(:, i) * decay
+      if (m /= AT_END) t = step%t(:, m)
+      if (m /= AT_END) decay = 1 / step%growth(:, m)
+      do i = 1, n
+        kernel(:, i) = step%rules%integral(:, i, m) * step%growth(:, i) * step%dt(:, i) * decay
       end do
       shared%by_excess(:, m) = decay
       shared%by_mod_S(:, m) = 0
       shared%by_mod_D(:, m) = -t * step%excess(:, m)
       shared%by_tr_D(:, m) = 0
       shared%by_log_phi(:, m) = 0
-      do i = 1, N_NODES
+      do i = 1, n
         shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i)
-        shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + INTEGRAL(i, m) * decay * step%t(:, i) * step%integrand(:, i) &
+        shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + step%rules%integral(:, i, m) * decay * step%t(:, i) * step%integrand(:, i) &
           + kernel(:, i) * f(:, i)
         shared%by_tr_D(:, m) = shared%by_tr_D(:, m) - kernel(:, i) * f_slope(:, i) * step%t(:, i)
         shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
@@ -215,27 +239,30 @@ contains
       power = 1
       do k = 0, shared%terms
         shared%weight(:, k, m) = needed(:, k) * power
-        shared%by_y(:, k, m) = kernel(:, 1) * by_y(:, 1, k) + kernel(:, 2) * by_y(:, 2, k) + kernel(:, 3) * by_y(:, 3, k) &
-          + kernel(:, 4) * by_y(:, 4, k)
+        shared%by_y(:, k, m) = kernel(:, 1) * by_y(:, 1, k)
+        do i = 2, n
+          shared%by_y(:, k, m) = shared%by_y(:, k, m) + kernel(:, i) * by_y(:, i, k)
+        end do
         power = power * t
       end do
     end do
   end subroutine share_derivatives
 
   !> The adjoints of the coordination number and the fabric: to A and Z2 - Zc at the start.
-  pure subroutine adjoint_coordination(par, step, shared, first, at, f)
+  pure subroutine adjoint_coordination(n, par, step, shared, last, at, f)
+    integer, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(in) :: shared
-    integer, intent(in) :: first                         ! of the nodes at which the function depends on A and Z2
+    integer, intent(in) :: last                          ! of the nodes at which the function depends on A and Z2
     type(node_adjoint), intent(in) :: at
     type(adjoint), intent(inout) :: f
-    real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, AT_END), by_y(LANES, AT_END)
+    real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, 0:N_NODES), by_y(LANES, 0:N_NODES)
     real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3), total, more
     integer :: i, j, k, m
 
     f%excess = 0
-    do m = first, AT_END
+    do m = 0, last
       f%excess = f%excess + at%excess(:, m) * shared%by_excess(:, m)
       f%mod_D = f%mod_D + at%excess(:, m) * shared%by_mod_D(:, m)
       f%mod_S = f%mod_S + at%excess(:, m) * shared%by_mod_S(:, m)
@@ -244,7 +271,7 @@ contains
       by_B(:, :, m) = times(shared%inverse_y(:, m), at%A(:, :, m))
       by_y(:, m) = -contract(by_B(:, :, m), step%A(:, :, m))
     end do
-    if (first == AT_END) then
+    if (last == AT_END) then
       do k = 0, shared%terms
         g_y(:, k) = shared%weight(:, k, AT_END) * by_y(:, AT_END) + shared%by_y(:, k, AT_END) * at%excess(:, AT_END)
         do j = 1, 5
@@ -256,14 +283,14 @@ contains
         do i = 1, LANES
           total = 0
           more = 0
-          do m = 1, AT_END
+          do m = 0, n
             total = total + shared%weight(i, k, m) * by_y(i, m)
             more = more + shared%by_y(i, k, m) * at%excess(i, m)
           end do
           g_y(i, k) = total + more
           do j = 1, 5
             total = 0
-            do m = 1, AT_END
+            do m = 0, n
               total = total + shared%weight(i, k, m) * by_B(i, j, m)
             end do
             g_B(i, j, k) = total
@@ -278,20 +305,20 @@ contains
   end subroutine adjoint_coordination
 
   !> The adjoint of the critical-state closure, A = lambda S^ and Z2 = f(phi).
-  pure subroutine adjoint_critical_state(par, step, first, at, f)
+  pure subroutine adjoint_critical_state(par, step, last, at, f)
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
-    integer, intent(in) :: first
+    integer, intent(in) :: last                          ! of the nodes at which the function depends on A and Z2
     type(node_adjoint), intent(in) :: at
     type(adjoint), intent(inout) :: f
     real(dp), dimension(LANES) :: t, phi, by_log_phi
     integer :: m
 
-    do m = first, AT_END
+    do m = 0, last
       t = 1
       phi = step%phi_end
-      if (m < AT_END) t = step%t(:, m)
-      if (m < AT_END) phi = step%phi(:, m)
+      if (m /= AT_END) t = step%t(:, m)
+      if (m /= AT_END) phi = step%phi(:, m)
       by_log_phi = at%excess(:, m) * excess_target_slope(par, phi - par%phic) * phi
       f%log_phi = f%log_phi + by_log_phi
       f%tr_D = f%tr_D - t * step%share * by_log_phi
@@ -303,7 +330,8 @@ contains
 
   !> The adjoint of the relaxing deviator: to the deviator at the start, to the spin and |D|, and to A and Z2 - Zc at the nodes
   !! and the end through the model's stress there.
-  pure subroutine adjoint_relaxation(par, inc, step, f, at)
+  pure subroutine adjoint_relaxation(n, par, inc, step, f, at)
+    integer, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(substep_solution), intent(in) :: step
@@ -314,14 +342,14 @@ contains
     type(pressure_derivative) :: by
     integer :: i, m
 
-    call share_rotations(par, step, by_mod_D, rotated)
+    call share_rotations(n, par, step, by_mod_D, rotated)
     S_matrix = product_matrix(inc%S_hat)
-    do m = 1, AT_END
+    do m = 0, n
       by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
       call deviator_slopes(par, step%A(:, :, m), inc%S_hat, S_matrix, step%p(:, m), by_A, by_S_hat)
       do i = 1, size(f)
         q = f(i)%dev
-        if (m < AT_END) q = transposed_times(step%R(:, :, :, m), q)
+        if (m /= AT_END) q = transposed_times(step%R(:, :, :, m), q)
         q = times(step%weights(:, m), q)
         by_p = contract(q, step%dev_over_p(:, :, m))
         f(i)%tr_direction = f(i)%tr_direction + by_p * by%trace
@@ -339,7 +367,7 @@ contains
       twice = commutator_of_spins(step%w, spin_derivative(f(i)%dev, rotated(:, :, 2)))
       f(i)%w = f(i)%w + times_spin(step%share, spin_derivative(f(i)%dev, rotated(:, :, 0)) &
         + commutator_of_spins(step%w, twice - spin_derivative(f(i)%dev, rotated(:, :, 1))))
-      f(i)%dev = times(step%weights(:, 0), transposed_times(step%R(:, :, :, 0), f(i)%dev))
+      f(i)%dev = times(step%decay, transposed_times(step%R_old, f(i)%dev))
     end do
   end subroutine adjoint_relaxation
 
@@ -348,28 +376,27 @@ contains
   !! With V a change of the spin w, a rotation exp(w u) changes by the spin
   !!   u V + u^2 second [w, V] + u^3 third [w, [w, V]],  second = (1 - cos(a))/a^2, third = (a - sin(a))/a^3, a the angle of w u.
   !! rotated(:, :, 0:2) are the deviators rotated to the end, weighted and summed with the factors of these three terms.
-  pure subroutine share_rotations(par, step, by_mod_D, rotated)
+  pure subroutine share_rotations(n, par, step, by_mod_D, rotated)
+    integer, intent(in) :: n
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
     real(dp), intent(out) :: by_mod_D(LANES, 5), rotated(LANES, 5, 0:2)
-    real(dp) :: u(LANES, AT_END), slopes(LANES, AT_END), second(LANES), third(LANES), weight(LANES)
+    real(dp) :: slopes(LANES, 0:N_NODES), second(LANES), third(LANES), weight(LANES)
     integer :: m
 
-    u(:, :N_NODES) = 1 - step%t
-    u(:, AT_END) = 0
-    slopes = relaxation_weights_slope(step%mod_D / par%elastic_strain, u)
+    slopes = relaxation_weights_slope(step%mod_D / par%elastic_strain, step%u, step%rules%nodes, n)
     call rotation_series(step%w, second, third)
-    by_mod_D = -step%rotated(:, :, 0)
-    rotated(:, :, 0) = step%rotated(:, :, 0)
-    rotated(:, :, 1) = times(second, step%rotated(:, :, 0))
-    rotated(:, :, 2) = times(third, step%rotated(:, :, 0))
-    do m = 1, AT_END
+    by_mod_D = -step%old
+    rotated(:, :, 0) = step%old
+    rotated(:, :, 1) = times(second, step%old)
+    rotated(:, :, 2) = times(third, step%old)
+    do m = 0, n
       by_mod_D = by_mod_D + times(slopes(:, m), step%rotated(:, :, m))
-      call rotation_series(times_spin(u(:, m), step%w), second, third)
-      weight = step%weights(:, m) * u(:, m)
+      call rotation_series(times_spin(step%u(:, m), step%w), second, third)
+      weight = step%weights(:, m) * step%u(:, m)
       rotated(:, :, 0) = rotated(:, :, 0) + times(weight, step%rotated(:, :, m))
-      rotated(:, :, 1) = rotated(:, :, 1) + times(weight * u(:, m) * second, step%rotated(:, :, m))
-      rotated(:, :, 2) = rotated(:, :, 2) + times(weight * u(:, m)**2 * third, step%rotated(:, :, m))
+      rotated(:, :, 1) = rotated(:, :, 1) + times(weight * step%u(:, m) * second, step%rotated(:, :, m))
+      rotated(:, :, 2) = rotated(:, :, 2) + times(weight * step%u(:, m)**2 * third, step%rotated(:, :, m))
     end do
     by_mod_D = times(step%share / par%elastic_strain, by_mod_D)
   end subroutine share_rotations
