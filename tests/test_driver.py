@@ -1,7 +1,6 @@
 """The single-point driver: controls keep what they hold, to the tolerance stated, and say why when they cannot."""
 
 import io
-import time
 
 import numpy as np
 import pytest
@@ -118,19 +117,15 @@ def test_element_tests_hold_what_they_promise(elastic_strain):
 @pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
 @pytest.mark.parametrize("make", [driver.biaxial, driver.triaxial])
 @pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
-def test_steps_of_the_critical_closure_are_cut_by_what_evolves_in_it(elastic_strain, make):
-    """Not by A, which jumps with the direction: that took 50 times as long as the full closure. A tenth of the tolerance agrees."""
-    seconds, ends = {}, {}
-    for closure in ("critical", "full"):
-        material = Material(0.5, closure, elastic_strain=elastic_strain)
-        state = material.isotropic(0.60, pressure=0.01)
-        for tolerance in (1e-7, 1e-6, 1e-6, 1e-6):
-            start = time.thread_time()
-            history = driver.run(material, state, [make(0.05)], tolerance=tolerance)
-            seconds[closure] = min(time.thread_time() - start, seconds.get(closure, np.inf))
-            ends[closure, tolerance] = history["phi"][-1], *history.states["stress"][-1, :3] / history["p"][-1]
-    assert seconds["critical"] < 2 * seconds["full"]                    # less, where nothing disturbs
-    np.testing.assert_allclose(ends["critical", 1e-6], ends["critical", 1e-7], rtol=0, atol=1e-5)
+def test_substeps_of_the_critical_closure_hold_the_tolerance(elastic_strain, make):
+    """They are cut by what evolves in it, phi and the relaxing stress; a tenth of the tolerance agrees."""
+    material = Material(0.5, "critical", elastic_strain=elastic_strain)
+    state = material.isotropic(0.60, pressure=0.01)
+    ends = []
+    for tolerance in (1e-6, 1e-7):
+        history = driver.run(material, state, [make(0.05)], tolerance=tolerance)
+        ends.append([history["phi"][-1], *history.states["stress"][-1, :3] / history["p"][-1]])
+    np.testing.assert_allclose(*ends, rtol=0, atol=1e-5)
 
 
 def test_any_linear_combination_can_be_free_and_held(material):
