@@ -227,7 +227,7 @@ def _steps(content: Content) -> list[Any]:
 # ---- scenes -------------------------------------------------------------------------------------------------------------
 
 REDUCED_FACTORS = (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1, 2, 4, 8)     # cell size over the file's, where cells cost little
-PLANE_FACTORS = (1 / 2, 1, 2, 4, 8)
+PLANE_FACTORS = (1 / 4, 1 / 2, 1, 2, 4, 8)
 SOLID_FACTORS = (1, 2, 4, 8)
 SCENE_INCREMENTS = (1 / 4, 1 / 2, 1, 2, 4, 8, 16, 32)
 NEWTON = ((1e-6, 1e-3), (1e-4, 1e-2))                           # force, correction

@@ -258,8 +258,8 @@ def draw(report: Report, title: str) -> Any:
     reference = report.file if report.file is not None and not report.file.failure else report.top
     over = max(reference.seconds, TINY)
     if reference is report.file and np.isfinite(report.of_file).all():
-        axes.plot(1, height(report.of_file), "s", color="black", markersize=9, label="the file, measured")
-    axes.plot(report.recommended.seconds / over, height(report.measured), "*", color="black", markersize=15,
+        axes.plot(1, height(report.of_file + report.of_top), "s", color="black", markersize=9, label="the file, measured")
+    axes.plot(report.recommended.seconds / over, height(report.measured + report.of_top), "*", color="black", markersize=15,
               label="recommended, measured")
     axes.axhline(1, color="black", linewidth=1, linestyle="--", label="tolerance")
     axes.set(xscale="log", yscale="log")
@@ -269,7 +269,7 @@ def draw(report: Report, title: str) -> Any:
         axes.axhspan(bottom, floor, facecolor="0.94", edgecolor="0.6", zorder=0, label="floor: constants known no better")
         axes.set_ylim(bottom=bottom)
     axes.set(title=title, xlabel=f"time over that of the {'file' if reference is report.file else 'top'}",
-             ylabel="largest error over its tolerance")
+             ylabel=f"largest error over its tolerance, with that of the top; at least {LEAST_DRAWN:g}")
     axes.grid(linewidth=0.3)
     axes.legend(frameon=False, fontsize=8)
     return figure

@@ -240,6 +240,9 @@ def test_what_contradicts_a_reduction_is_refused_at_once(tmp_path):
         "no grading along x": faults(BOX, "grading = [2, 1]\nlayer = true"),
         "rotation of top is not uniform": faults(BOX, "layer = true", (
             "displacement = { x = [[0, 0], [2, 0.02], [10, -0.02]] }", "rotation = 0")),
+        "gradient of top along x is not uniform": faults(BOX, "layer = true", ("displacement = { x = [[0, 0], [2,", (
+            "gradient = { yx = 0 }\ndisplacement = { x = [[0, 0], [2,"))),
+        "gradient of top must have nothing to do with y": faults(in_space, "plane = true", ("platen", "gradient = { zy = 0 }\nplaten")),
         "region 'below' must be a box": faults(BOX, "layer = true", ("box = [[0.2, 0], [0.6, 0.2]]", "ring = [0, 1]")),
     }
     for words, said in found.items():

@@ -13,6 +13,8 @@ from mpi4py import MPI
 
 from granumat import Material, fem, tensors
 from granumat.fem import scene, scene_file, system
+from granumat.paths import read_toml
+from granumat.toml import write_content
 
 ROOT = Path(__file__).parents[2]
 BOX = """
@@ -237,11 +239,32 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "demos/scenes").glob("*.toml")), ids=lambda path: path.stem)
-def test_scenes_of_the_demos_run(tmp_path, path):
-    text, count = re.subn(r"until = \d+", "until = 2", re.sub(r"at = \[.*\]", "at = [2]", path.read_text()))
-    assert count == 1
-    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
-    assert problem.t == 2 and problem.increments == 2
+def test_two_increments_of_the_scenes_of_the_demos_run_on_coarse_meshes(tmp_path, path):
+    content = read_toml(path)
+    end = content["run"]["until"] = 2 * content["run"]["increment"]
+    content["mesh"]["cells"] = [max(count // 3, 2) for count in content["mesh"]["cells"]]
+    for quantity in content.get("quantity", []):
+        quantity["at"] = "end"
+    content["output"].pop("times", None)
+    write_content(tmp_path / "scene.toml", content)
+    problem, _ = scene.solve(tmp_path / "scene.toml", tmp_path / "out")
+    assert problem.t == end and problem.increments == 2
+
+
+def test_sides_that_move_by_a_displacement_gradient_deform_the_body_by_it(tmp_path):
+    text = re.sub(r"\[\[condition\]\].*\[run\]", """[[condition]]
+        on = ["left", "right", "top", "bottom"]
+        gradient = { xx = [[0, 0], [3.5, 0.001]], xy = [[0, 0], [6, 0.02]], yx = [[0, 0], [6, 0.01]] }
+        displacement = { y = 0 }
+        [run]""", BOX, flags=re.S)
+    said = faults(tmp_path, text)
+    assert "condition 1: is wrong:\n    y is given by both displacement and gradient" in said
+    problem, _ = scene.solve(written(tmp_path, text.replace("displacement = { y = 0 }", "")), tmp_path / "out")
+    np.testing.assert_allclose(problem.displacement, problem.positions @ [[0.001, 0.01], [0.02, 0]], atol=1e-9)
+    assert "must be a table with some of xx, xy, yx, yy" in faults(tmp_path, text.replace("xx =", "q ="))
+    assert "gradient and rotation cannot be given together" in faults(
+        tmp_path, text.replace("displacement = { y = 0 }", "rotation = 0"))
+    assert "gradient: not on a ring" in faults(tmp_path, ANNULUS.replace("platen = \"radial\"", "gradient = { xy = 0 }"))
 
 
 def granumat(cwd, *arguments, ranks=1):

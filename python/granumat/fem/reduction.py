@@ -84,6 +84,7 @@ def _side_in_plane(side: SideConditions, across: int) -> SideConditions:
         return i - (i > across)
 
     return replace(side, displacement={component(i): function for i, function in side.displacement.items() if i != across},
+                   gradient={(component(i), component(j)): function for (i, j), function in side.gradient.items()},
                    traction={component(i): function for i, function in side.traction.items() if i != across},
                    platen=None if side.platen is None else component(side.platen),
                    periodic=None if side.periodic is None else component(side.periodic))
@@ -129,6 +130,8 @@ def _plane_faults(mesh: dict[str, Any], gravity: Sequence[float], state: np.void
             continue
         if not _is_zero(side.displacement.get(across)) or not _is_zero(side.traction.get(across)) or side.platen == across:
             faults.append(f"{side.on} must not move and not be loaded along {axis}, which is left out")
+        if any(across in axes for axes in side.gradient):
+            faults.append(f"gradient of {side.on} must have nothing to do with {axis}, which is left out")
         if side.rotation is not None and across != 2:
             faults.append(f"rotation of {side.on} in the plane x y is none of the plane x z")
     if len(gravity) == 3 and gravity[across]:
@@ -143,7 +146,7 @@ def _plane_faults(mesh: dict[str, Any], gravity: Sequence[float], state: np.void
 def _slips(side: SideConditions, component: int) -> bool:
     """Whether a side has a displacement of 0 across it, and nothing else."""
     return (list(side.displacement) == [component] and _is_zero(side.displacement[component]) and side.rotation is None
-            and side.platen is None and side.pressure is None and not side.traction)
+            and side.platen is None and side.pressure is None and not side.traction and not side.gradient)
 
 
 def _is_zero(function: Function | None) -> bool:
@@ -171,5 +174,7 @@ def _layer_faults(mesh: dict[str, Any], sides: Sequence[SideConditions] | None, 
     if mesh.get("grading", [1.0])[0] != 1:
         faults.append("columns must have the same width: no grading along x")
     faults += [f"rotation of {side.on} is not uniform along x" for side in sides or () if side.rotation is not None]
+    faults += [f"gradient of {side.on} along x is not uniform along it" for side in sides or ()
+               if any(j == 0 for _, j in side.gradient)]
     return faults + [f"region {region.name!r} must be a box, whose extent along x is disregarded" for region in regions
                      if region.ring is not None]

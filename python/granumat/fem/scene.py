@@ -135,6 +135,8 @@ def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind
     if entry.displacement:
         value = _displacement(entry.displacement, kind)
         conditions.append(Displacement(where, value, sorted(entry.displacement), local_axes))
+    if entry.gradient:
+        conditions.append(Displacement(where, _affine(entry.gradient), sorted({i for i, _ in entry.gradient})))
     if entry.rotation is not None:
         conditions.append(Displacement(where, rotation(entry.rotation, entry.center), [0, 1]))
     if entry.platen is not None:
@@ -164,6 +166,16 @@ def _displacement(components: dict[int, Function], kind: str) -> Callable[[np.nd
         for component, function in components.items():
             vectors[:, component] = function(t)
         return np.einsum("nij,nj->ni", polar()(x), vectors) if kind == "annulus" else vectors
+    return value
+
+
+def _affine(gradient: dict[tuple[int, int], Function]) -> Callable[[np.ndarray, float], np.ndarray]:
+    """Value for Displacement from displacement gradients by component and axis."""
+    def value(x: np.ndarray, t: float) -> np.ndarray:
+        vectors = np.zeros_like(x)
+        for (i, j), function in gradient.items():
+            vectors[:, i] += function(t) * x[:, j]
+        return vectors
     return value
 
 

@@ -57,6 +57,8 @@ class SideConditions:
         Name of the side, or of a gmsh file's facets, or their number there.
     displacement : dict of int to Function
         By component: x y z of a box, radial circumferential z of an annulus.
+    gradient : dict of (int, int) to Function
+        Displacement gradients: component i of the displacement is the sum of gradient[i, j] times the position along j.
     rotation : Function or None
         Angle in radians.
     center : sequence of 2 floats
@@ -73,6 +75,7 @@ class SideConditions:
 
     on: str | int
     displacement: dict[int, Function]
+    gradient: dict[tuple[int, int], Function]
     rotation: Function | None
     center: Sequence[float]
     platen: int | None
@@ -83,12 +86,12 @@ class SideConditions:
     @property
     def is_held(self) -> bool:
         """Whether displacements are prescribed or tied, so that there is a reaction."""
-        return bool(self.displacement) or self.rotation is not None or self.platen is not None
+        return bool(self.displacement or self.gradient) or self.rotation is not None or self.platen is not None
 
     @property
     def functions(self) -> list[Function]:
         """All functions of pseudo-time."""
-        functions = [*self.displacement.values(), *self.traction.values()]
+        functions = [*self.displacement.values(), *self.gradient.values(), *self.traction.values()]
         return functions + [function for function in (self.rotation, self.pressure) if function is not None]
 
 

@@ -26,7 +26,7 @@ MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading", "layer", "plane")),
 REDUCTIONS = ("sector", "layer", "plane")
 OPPOSITE_SIDES = ({"left", "right"}, {"front", "back"}, {"bottom", "top"})
 CARTESIAN, POLAR = ("x", "y", "z"), ("radial", "circumferential", "z")
-CONDITION_KEYS = ("displacement", "rotation", "platen", "pressure", "traction", "periodic")
+CONDITION_KEYS = ("displacement", "gradient", "rotation", "platen", "pressure", "traction", "periodic")
 CHECKPOINT_SECONDS = 600            # between two checkpoints, if the file says nothing else
 
 
@@ -320,6 +320,7 @@ def _side_conditions(entry: dict[str, Any], kind: str | None, d: int | None) -> 
     axes = POLAR if kind == "annulus" else CARTESIAN
     names = axes if d != 2 else axes[:2]
     displacement = _components(entry, "displacement", names, faults, start=0.0)
+    gradient = _gradient(entry, names if kind != "annulus" else (), faults)
     rotation = _rotation(entry, faults)
     platen = _platen(entry, names, faults)
     pressure = _function(entry["pressure"], "pressure", faults) if "pressure" in entry else None
@@ -335,7 +336,7 @@ def _side_conditions(entry: dict[str, Any], kind: str | None, d: int | None) -> 
     axis = None
     if "periodic" in entry and d is not None:                   # the side away from 0 has the displacement of the other one
         axis, sides = BOX_SIDES[d][sides[0]][0], [side for side in sides if BOX_SIDES[d][side][1] == 1]
-    return [SideConditions(side, displacement, rotation, entry.get("center", [0.0, 0.0]), platen, pressure, traction, axis)
+    return [SideConditions(side, displacement, gradient, rotation, entry.get("center", [0.0, 0.0]), platen, pressure, traction, axis)
             for side in sides]
 
 
@@ -363,6 +364,24 @@ def _components(entry: dict[str, Any], key: str, names: Sequence[str], faults: l
         faults.append(f"{key} = {table!r}: must be a table with some of {', '.join(names)}")
         return {}
     return {names.index(name): _function(value, f"{key} {name}", faults, start) for name, value in table.items()}
+
+
+def _gradient(entry: dict[str, Any], names: Sequence[str], faults: list[str]) -> dict[tuple[int, int], Function]:
+    """Functions by component and axis of a table such as { xy = ... }; `names` of the axes, none of a ring."""
+    if "gradient" not in entry:
+        return {}
+    if not names:
+        faults.append("gradient: not on a ring")
+        return {}
+    table, allowed = entry["gradient"], {i + j: (names.index(i), names.index(j)) for i in names for j in names}
+    if not isinstance(table, dict) or not table or any(name not in allowed for name in table):
+        faults.append(f"gradient = {table!r}: must be a table with some of {', '.join(allowed)}")
+        return {}
+    twice = sorted({name[0] for name in table} & set(entry["displacement"] if isinstance(entry.get("displacement"), dict) else ()))
+    faults += [f"{name} is given by both displacement and gradient" for name in twice]
+    if "rotation" in entry:
+        faults.append("gradient and rotation cannot be given together")
+    return {allowed[name]: _function(value, f"gradient {name}", faults, 0.0) for name, value in table.items()}
 
 
 def _rotation(entry: dict[str, Any], faults: list[str]) -> Function | None:

@@ -1,0 +1,140 @@
+# %% [markdown]
+# # What every path and scene of the demos needs, and whether the ladder tells the truth
+#
+# `granumat ladder` is given each file at several tolerances. What it recommends is compared with a run of its own, on a mesh and in
+# increments that are finer than any that the ladder has used: the true error, against the predicted one.
+
+# %%
+import sys
+from pathlib import Path
+
+import fields
+import numpy as np
+from matplotlib.figure import Figure
+
+from granumat import estimate, ladder
+from granumat.fem.ladder import SceneRunner
+from granumat.paths import read_toml
+from granumat.runs import PointRunner, Runs
+
+DEMOS = Path(__file__).parent
+TOLERANCES = (0.1, 0.05, 0.02, 0.01)
+SHOWN = 0.05                        # the tolerance of the tables
+PATHS = ("reversal", "reversal-pressure", "oscillation", "start-up", "compression", "triaxial", "undrained-cycles")
+SCENES = {                          # the meshes of the true solutions; none where the shear localises
+    "annulus": {"sector": True, "cells": [96, 480]},
+    "shear-box": {"layer": True, "cells": [64, 64]},
+    "homogeneous-shear": {"layer": True, "plane": True, "cells": [16, 4, 16]},
+    "direct-shear": {"cells": [108, 36]},
+    "platen-gravity": {"layer": True, "cells": [128, 128]},
+    "biaxial-block": None,
+    "biaxial-block-rate": {"cells": [48, 96]},
+    "ring-shear-3d": {"sector": True, "cells": [20, 320, 18]},
+}
+FINER = 4                           # increments of the true solutions, of one of the file's
+ROUND_OFF = 1e-5                    # errors below are round-off and what Newton's tolerance leaves
+SHORT = {"paths": ("reversal", "start-up"), "scenes": (), "tolerances": (0.05,)}
+
+
+# %%
+def true_path(content):
+    steps = [step | {"increments": FINER * step.get("increments", 200)} for step in content["step"] if "pause" not in step]
+    return content | {"tolerance": 1e-9, "step": [step if "pause" in step else steps.pop(0) for step in content["step"]]}
+
+
+def true_scene(content, mesh):
+    run = content["run"] | {"increment": content["run"]["increment"] / FINER}
+    return content | {"mesh": content["mesh"] | mesh, "run": run}
+
+
+def study(file, mesh, tolerances, out):
+    """Rows of tolerance, report of the ladder, true errors (quantities). `mesh` of the true solution: True for a path, None for none.
+    """
+    content, is_path = read_toml(file), mesh is True
+    runner = PointRunner(file) if is_path else SceneRunner(file)
+    truth = None
+    if mesh is not None:
+        truth = Runs(runner, out / "truth", progress=sys.stderr).get(
+            true_path(content) if is_path else true_scene(content, mesh), "true solution")
+    rows = []
+    for tolerance in tolerances:
+        report = ladder.climb(file, tolerance, out, runner=runner, progress=sys.stderr)
+        rows.append((tolerance, report, None if truth is None else estimate.errors(report.recommended, truth, runner.quantities)))
+    return rows
+
+
+def main(paths=PATHS, scenes=tuple(SCENES), tolerances=TOLERANCES, out="results/ladder"):
+    found = {}
+    for name in paths:
+        found[name] = study(DEMOS / f"paths/{name}.toml", True, tolerances, Path(out) / name)
+    for name in scenes:
+        found[name] = study(DEMOS / f"scenes/{name}.toml", SCENES[name], tolerances, Path(out) / name)
+    for names in (paths, scenes):
+        print_table({name: found[name] for name in names})
+    pairs = summary(found)
+    fields.save(picture(found), out, "ladder")
+    return pairs
+
+
+# %%
+def print_table(found):
+    """What is recommended at the tolerance SHOWN, in Markdown."""
+    print("\n| file | recommended | predicted | measured | true | times as fast as the file | runs; in runs of the file |")
+    print("|---|---|---|---|---|---|---|")
+    for name, rows in found.items():
+        for tolerance, report, true in rows:
+            if tolerance == SHOWN:
+                words = "; ".join(f"{axis}: {finding.rung.name}" for axis, finding in report.choice.items())
+                missing = "" if report.is_proved else " (not proved)"
+                errors = " | ".join("-" if each is None else ", ".join(f"{error:.2%}" for error in each)
+                                    for each in (report.predicted, report.measured + report.of_top, true))
+                print(f"| {name} | {words}{missing} | {errors} | {report.file.seconds / report.recommended.seconds:.3g} | "
+                      f"{report.runs}; {report.seconds / report.file.seconds:.3g} |")
+
+
+def summary(found):
+    """Predicted and true error of the worst quantity (largest over its tolerance), and whether they are proved, in columns."""
+    pairs = []
+    for rows in found.values():
+        for tolerance, report, true in rows:
+            if true is not None:
+                worst = np.argmax(true)
+                pairs.append((tolerance, report.predicted[worst], true[worst], report.is_proved))
+    tolerance, predicted, true, proved = np.array(pairs, float).T
+    counted = true > ROUND_OFF
+    ratio = (predicted / true)[counted]
+    print(f"\n{len(pairs)} pairs: true error below {ROUND_OFF:.0e} in {np.count_nonzero(~counted)}; of the other {counted.sum()} it is "
+          f"below the predicted one in {np.count_nonzero(ratio >= 1)}, within a factor of 2 of it in "
+          f"{np.count_nonzero((ratio >= 0.5) & (ratio <= 2))}, more than 2 times as large in {np.count_nonzero(ratio < 0.5)}")
+    print(f"above the tolerance in {np.count_nonzero(true > tolerance)}, and in "
+          f"{np.count_nonzero((true > tolerance) & (proved == 1))} without saying so")
+    return {"tolerance": tolerance, "predicted": predicted, "true": true, "proved": proved}
+
+
+def picture(found):
+    """True against predicted errors over their tolerances, and what is gained."""
+    figure = Figure(figsize=(10, 4.5), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for number, (name, rows) in enumerate(found.items()):
+        style = {"color": f"C{number % 10}", "marker": "os^Dv"[number // 4 % 5], "label": name, "markersize": 5}
+        if rows[0][2] is not None:
+            worst = [(np.max(true), report.predicted[np.argmax(true)]) for _, report, true in rows]
+            for (true, predicted), (_, report, _) in zip(np.maximum(worst, ROUND_OFF), rows):
+                left.plot(predicted, true, linestyle="none", fillstyle="full" if report.is_proved else "none", **style)
+        gain = [(tolerance, report.file.seconds / report.recommended.seconds) for tolerance, report, _ in rows]
+        right.plot(*zip(*gain), linewidth=0.8, **style)
+    line = np.array([ROUND_OFF, 0.2])
+    left.plot(line, line, "k-", linewidth=0.8)
+    left.fill_between(line, line / 2, line * 2, color="0.9", zorder=0)
+    left.set(xscale="log", yscale="log", xlabel="predicted error of the recommendation",
+             ylabel="true error (grey: factor of 2; empty: said to be not proved)")
+    right.axhline(1, color="black", linewidth=0.8)
+    right.set(xscale="log", yscale="log", xlabel="tolerance", ylabel="time of the file over the recommendation's",
+              xticks=TOLERANCES, xticklabels=[f"{tolerance:.0%}" for tolerance in TOLERANCES])
+    right.minorticks_off()
+    right.legend(frameon=False, fontsize=7, loc="center left", bbox_to_anchor=(1, 0.5))
+    return figure
+
+
+if __name__ == "__main__":
+    main(out=fields.directory())
