@@ -28,29 +28,12 @@ at = [10, 20, 30, 40]
 [ladder]
 symmetry = "axial"
 """
-BLOCK = """
-[material]
-elastic_strain = 0.01
-[mesh]
-kind = "box"
-size = [1, 2]
-cells = [8, 16]
-[initial]
-state = "isotropic"
-phi = 0.60
-pressure = 0.003
-[[condition]]
-on = "bottom"
-displacement = { x = 0, y = 0 }
-[[condition]]
-on = "top"
-displacement = { x = 0, y = [[0, 0], [100, -0.42]] }
-[[condition]]
-on = ["left", "right"]
-pressure = 0.003
-[run]
-until = 100
-increment = 4
+BLOCK = replaced(scenes.BOX, {
+    "size = [1, 0.5]\ncells = [4, 2]": "size = [1, 2]\ncells = [8, 16]",
+    "phi = 0.60\npressure = 0.007": "phi = 0.60\npressure = 0.003",
+    "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = 0, y = [[0, 0], [100, -0.42]]",
+    'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]\n': "", "periodic = true": "pressure = 0.003",
+    "until = 6\nincrement = 1": "until = 100\nincrement = 4"}) + """
 [[quantity]]
 name = "force"
 of = "reaction y of top"
