@@ -79,9 +79,9 @@ def faults(directory, text):
     return str(caught.value)
 
 
-def solved(directory, text, **options):
+def solved(directory, text):
     """The problem at the end of a scene that is run into directory/out, and the tables there by the names of their files."""
-    problem, files = scene.solve(written(directory, text), directory / "out", **options)
+    problem, files = scene.solve(written(directory, text), directory / "out")
     assert all(file.exists() for file in files)
     return problem, {file.stem: read_table(file) for file in files if file.suffix == ".csv"}
 
