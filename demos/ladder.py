@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 
 from granumat import estimate, ladder
 from granumat.fem.ladder import SceneRunner
-from granumat.paths import read_toml
 from granumat.runs import PointRunner, Runs
+from granumat.toml import read_toml
 
 DEMOS = Path(__file__).parent
 TOLERANCES = (0.1, 0.05, 0.02, 0.01)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material, MaterialError
-from test_invariants import random_states
+from support.states import random_states
 
 
 @pytest.mark.parametrize("elastic_strain", [0.0, 1e-3])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material, driver, tensors
-from test_invariants import random_rotations, rotated
+from support.states import random_rotations, rotated
 
 CLOSURES = ("critical", "basic", "n2", "full", "kinematic")
 QUADRATIC = {"friction": "quadratic", "b1": 0.12, "b2": -2.0, "b3": 15.0}

@@ -7,8 +7,8 @@ from granumat import STATE, Material, MaterialError, core, driver, tensors
 from granumat.material import CLOSURES, CONTACTS, METHODS, SPINS
 from granumat.paths import read_path_file
 from support import reference
+from support.states import random_states
 from test_bad_input import check, spoiled
-from test_invariants import random_states
 
 OTHERS = METHODS[1:]
 ORDERS = {"forward-euler": 1, "midpoint": 2, "rk4": 4, "bogacki-shampine": 3, "backward-euler": 1}

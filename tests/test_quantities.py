@@ -94,7 +94,7 @@ def test_every_fault_comes_in_one_message(tmp_path):
                   'name = "t"\nof = "p"\nat = [0.5, 1.5, 3]', 'name = "a/b"\nof = "p"\nat = [1, 0.5]\ntolerance = 2\nscale = 0')
     for words in ("quantity 1: cannot be evaluated", "unknown key 'where': allowed are name, of, at, tolerance, scale",
                   "of = 'pressure': must be a column of the history, one of gamma, gamma_total, phi, p",
-                  "name = 'q': is given 2 times", "of = 'acoustic': needs acoustic = true in [output]",
+                  "the quantity 'q' is given 2 times", "of = 'acoustic': needs acoustic = true in [output]",
                   "at = 'start': must be a list of increasing times, or one of end, range", "quantity 3: cannot be evaluated",
                   "name is missing", "of = 3: must be a text in quotes", "name = 't': must begin with a letter",
                   "at 0.5: lies 3.5 increments into step 1, which has 7: must be the end of one",

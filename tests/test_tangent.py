@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material, tensors
-from test_invariants import random_rotations, random_states, rotated
+from support.states import random_rotations, random_states, rotated
 
 # f'(0) from f(+-h), f(+-2h), f(+-3h), f(+-4h), order 8
 WEIGHTS = np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from granumat import Material, tensors
 from granumat.material import CALIBRATIONS, CLOSURES, CONTACTS
 from support import reference
+from support.states import random_states
 from support.umat_host import (
     DIRECTION,
     EYE,
@@ -23,7 +24,6 @@ from support.umat_host import (
     properties,
     statev_of,
 )
-from test_invariants import random_states
 from test_tangent import WEIGHTS, unit_gradients
 
 UNIT = 2.5e6                                      # a stress unit, Pa

@@ -18,7 +18,7 @@ module granumat_element
   use granumat_tensors, only: VOIGT
   implicit none (type, external)
   private
-  public :: element_gradients, element_forces, element_stiffness, INVERTED, TOO_LARGE
+  public :: element_gradients, element_forces, element_stiffness
 
   integer, parameter :: INVERTED = 1                 ! an integration point's volume vanishes or changes its sign
   integer, parameter :: TOO_LARGE = 2                ! log F does not converge: the increment turns or strains by too much

@@ -12,6 +12,7 @@ module granumat_ellipticity
   use, intrinsic :: ieee_arithmetic, only: ieee_quiet_nan, ieee_value
   use granumat_kinds, only: dp, LANES
   use granumat_law, only: coordination_rate, excess_target, excess_target_slope, fabric_rate
+  use granumat_matrices, only: determinant_of => determinant
   use granumat_parameters, only: material_parameters, CRITICAL
   use granumat_state, only: lane_state
   use granumat_stress, only: evaluate, friction, pressure_derivative, pressure_slopes, deviator_slopes, stress_deviator
@@ -160,7 +161,7 @@ contains
     integer :: i, j, k, best
 
     do j = 1, N_GRID
-      grid(:, j) = fibonacci(j)
+      grid(:, j) = grid_normal(j)
       values(:, j) = measure(law, kind, spread(grid(:, j), 1, LANES))
     end do
     least = huge(least)
@@ -183,13 +184,13 @@ contains
     end do
   end subroutine least_over_normals
 
-  !> The j-th of N_GRID normals, evenly spread over a hemisphere.
-  pure function fibonacci(j) result(n)
+  !> The j-th of N_GRID normals, evenly spread over a hemisphere on Fibonacci's spiral.
+  pure function grid_normal(j) result(n)
     integer, intent(in) :: j
     real(dp) :: n(3), z
     z = (j - 0.5_dp) / N_GRID
     n = [sqrt(1 - z**2) * cos(j * GOLDEN_ANGLE), sqrt(1 - z**2) * sin(j * GOLDEN_ANGLE), z]
-  end function fibonacci
+  end function grid_normal
 
   !> The local minimum next to n: Newton's method on the quadratic fitted to a ring around n; the best of all seen is kept.
   pure subroutine refine(law, kind, n, least)
@@ -305,11 +306,9 @@ contains
 
     Q = acoustic_tensor(law, n)
     if (law%isochoric) then
-      value = measure_2(kind, n, Q)
+      value = isochoric_measure(kind, n, Q)
     else if (kind == DETERMINANT) then
-      value = Q(:, 1, 1) * (Q(:, 2, 2) * Q(:, 3, 3) - Q(:, 2, 3) * Q(:, 3, 2)) &
-        - Q(:, 1, 2) * (Q(:, 2, 1) * Q(:, 3, 3) - Q(:, 2, 3) * Q(:, 3, 1)) &
-        + Q(:, 1, 3) * (Q(:, 2, 1) * Q(:, 3, 2) - Q(:, 2, 2) * Q(:, 3, 1))
+      value = determinant_of(Q)
     else
       value = smallest_eigenvalue(Q)
     end if
@@ -352,8 +351,8 @@ contains
 
   end function acoustic_tensor
 
-  !> A measure of Q between vectors normal to n.
-  pure function measure_2(kind, n, Q) result(value)
+  !> A measure of the 2 x 2 part of Q between vectors normal to n.
+  pure function isochoric_measure(kind, n, Q) result(value)
     integer, intent(in) :: kind
     real(dp), intent(in) :: n(LANES, 3), Q(LANES, 3, 3)
     real(dp) :: value(LANES), t(LANES, 3, 2), block(LANES, 2, 2), mean(LANES), deviation(LANES)
@@ -374,7 +373,7 @@ contains
       deviation = sqrt((block(:, 1, 1) - block(:, 2, 2))**2 + (block(:, 1, 2) + block(:, 2, 1))**2) / 2
       value = mean - deviation
     end if
-  end function measure_2
+  end function isochoric_measure
 
   !> Of the symmetric part of Q, by Jacobi's method (the cubic's formula loses half the digits of a double eigenvalue).
   pure function smallest_eigenvalue(Q) result(value)

@@ -67,6 +67,12 @@ def is_positive_integer(value: object) -> TypeGuard[int]:
     return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and bool(value >= 1)
 
 
+def repetitions(kind: str, names: Sequence[object]) -> list[str]:
+    """A fault for each text that stands more than once among the names of things of a kind."""
+    texts = [name for name in names if isinstance(name, str)]
+    return [f"the {kind} {name!r} is given {texts.count(name)} times" for name in dict.fromkeys(texts) if texts.count(name) > 1]
+
+
 def choose(kind: str, name: object, allowed: Sequence[str], faults: list[str]) -> int:
     """Find a name among those that are allowed.
 

@@ -15,7 +15,9 @@ STATE = np.dtype([
 """What a point remembers, 20 numbers. stress: Cauchy, tension positive, in k/d (k_Hz for Hertzian contacts); fabric: A (3.1);
 direction: D/abs(D) of the last strain, 0 before any. Six components are xx yy zz xy xz yz."""
 
-N_CONSTANTS = 20
+N_CONSTANTS = 20                                      # as in granumat_parameters
+STATE_NUMBERS = STATE.itemsize // 8
+ARITHMETIC_A_ROUND = 192                              # 2 * 12 * LANES, see granumat_arithmetic
 Scheme = tuple[int, int, float]
 """How to integrate increments: numbers of method and spin as in granumat_methods, tolerance of the embedded pair."""
 
@@ -42,7 +44,7 @@ def status_message(status: int) -> str:
 
 def numbers(states: np.ndarray) -> np.ndarray:
     """States (n,) as the core sees them, (n, 20), without a copy."""
-    return states.view(np.ndarray).view(float).reshape(-1, 20)
+    return states.view(np.ndarray).view(float).reshape(-1, STATE_NUMBERS)
 
 
 def update(par: np.ndarray, old: np.ndarray, gradients: np.ndarray, new: np.ndarray, status: np.ndarray, threads: int) -> None:
@@ -95,6 +97,6 @@ def follow_path(par: np.ndarray, scheme: Scheme, start: np.ndarray, gradients: n
 
 
 def arithmetic(rounds: int) -> int:
-    """Does 192 * rounds additions and multiplications in registers; returns their number."""
+    """Does additions and multiplications in registers, ARITHMETIC_A_ROUND a round; returns their number."""
     _core.granumat_arithmetic(rounds)
-    return 192 * rounds
+    return ARITHMETIC_A_ROUND * rounds

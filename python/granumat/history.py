@@ -12,6 +12,7 @@ import numpy as np
 
 from . import tensors
 from .core import STATE
+from .files import write_table
 from .material import Material
 
 STATE_COLUMNS = ("phi", "p", "stress_ratio", "Z2", *(f"A_{a}" for a in tensors.AXES), *(f"sigma_{a}" for a in tensors.AXES),
@@ -54,12 +55,7 @@ class History:
 
     def write_csv(self, filename: str | Path) -> None:
         """Write the columns as a table with a line of names; an old file is replaced only once the new one is complete."""
-        filename = Path(filename)
-        formats = ["%d"] + ["%.15g"] * (len(self.columns) - 1)
-        partial = filename.with_name(filename.name + ".part")
-        np.savetxt(partial, np.column_stack(list(self.columns.values())), fmt=formats, delimiter=",",
-                   header=",".join(self.columns), comments="")
-        partial.replace(filename)
+        write_table(filename, self.columns, ["%d"] + ["%.15g"] * (len(self.columns) - 1))
 
 
 def state_columns(material: Material, states: np.ndarray) -> dict[str, np.ndarray]:

@@ -20,9 +20,9 @@ from .choice import LEAST_SAVING, Choice, Finding, Report, Study, choose, predic
 from .coarsen import CONSTANT, DIMENSION, MODEL, NUMERICS, Axis, Content, Rung
 from .estimate import TINY
 from .ladder_report import write_report
-from .paths import read_toml
 from .quantities import Quantity
 from .runs import BudgetSpent, PointRunner, Result, Runner, Runs
+from .toml import read_toml
 
 FILES = ("ladder.txt", "ladder.csv", "ladder.png", "recommended.toml")
 SHARE_OF_REMAINDER = 0.15           # of the tolerance, that the extrapolated error of an axis's finest rung may take

@@ -4,7 +4,7 @@ import csv
 import io
 import os
 import textwrap
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from .choice import LEAST_SAVING, Finding, Report, Study, predicted
 from .coarsen import DIMENSION, MODEL, relocated
 from .estimate import TINY
+from .files import replacing
 from .toml import write_content
 
 WIDTH = 132
@@ -23,18 +24,14 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "0.
 def write_report(report: Report, file: Path, out: Path) -> None:
     """Write all files of a climb; each replaces an old one at once."""
     out.mkdir(parents=True, exist_ok=True)
-    _replace(out / "ladder.txt", lambda path: path.write_text(in_words(report, file), encoding="utf-8"))
-    _replace(out / "ladder.csv", lambda path: path.write_text(as_csv(report), encoding="utf-8"))
-    figure = draw(report, file.stem)
-    _replace(out / "ladder.png", lambda path: figure.savefig(path, dpi=130, format="png"))
+    with replacing(out / "ladder.txt") as text:
+        text.write_text(in_words(report, file), encoding="utf-8")
+    with replacing(out / "ladder.csv") as table:
+        table.write_text(as_csv(report), encoding="utf-8")
+    with replacing(out / "ladder.png") as picture:
+        draw(report, file.stem).savefig(picture, dpi=130, format="png")
     content = relocated(report.content, lambda name: os.path.relpath(file.parent / name, out))
     write_content(out / "recommended.toml", content, comments(report, file))
-
-
-def _replace(path: Path, write: Callable[[Path], Any]) -> None:
-    partial = path.with_name(path.name + ".part")
-    write(partial)
-    partial.replace(path)
 
 
 def comments(report: Report, file: Path) -> list[str]:

@@ -1,6 +1,5 @@
 """Path files: a material, an initial state and the steps of a load path, as TOML."""
 
-import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,11 +9,12 @@ import numpy as np
 
 from . import steps
 from .checks import attempt, is_finite_number, is_number, refuse
+from .files import read_lines
 from .history import ACOUSTIC, COLUMNS
 from .material import Material
 from .quantities import Quantity, are_same_times, read_quantities
 from .steps import TOLERANCE, Step
-from .toml import write_content
+from .toml import read_toml, table_of, write_content
 
 Table = Mapping[str, Any]
 
@@ -93,23 +93,6 @@ def read_path_file(filename: str | Path) -> PathFile:
     refuse(f"{filename} cannot be run", faults)
     assert material is not None and state is not None and quantities is not None         # or there were faults
     return PathFile(material, state, found, tolerance, acoustic, quantities)
-
-
-def read_toml(filename: str | Path) -> dict[str, Any]:
-    """What a TOML file says; ValueError if it is not one."""
-    with open(filename, "rb") as file:
-        try:
-            return tomllib.load(file)
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{filename}: not a TOML file: {error}") from None
-
-
-def table_of(content: Table, name: str) -> dict[str, Any]:
-    """A table of a file by its name, empty if it is not there; ValueError if it is no table."""
-    table = content.get(name, {})
-    if not isinstance(table, dict):
-        raise ValueError(f"{name}: must be a table [{name}]")
-    return table
 
 
 def read_material(content: Table) -> Material:
@@ -304,12 +287,7 @@ GRADIENTS = [f"G_{i}{j}" for i in "xyz" for j in "xyz"]
 
 def _from_csv(filename: Path, free: tuple[str, ...], until: str) -> Step:
     """A step from a table of cumulative values: gamma or G_xx ... G_zz (grad u), and one column for each stress condition."""
-    try:
-        with open(filename, encoding="utf-8") as file:
-            names = [name.strip() for name in file.readline().split(",")]
-            table = np.loadtxt(file, delimiter=",", ndmin=2)
-    except ValueError as error:
-        raise ValueError(f"{filename}: not a table of numbers with one line of names: {error}") from None
+    names, table = read_lines(filename)
     faults = []
     if table.shape[0] < 2 or table.shape[1:] != (len(names),):
         faults.append(f"has shape {table.shape}: must have {len(names)} columns and at least 2 rows")

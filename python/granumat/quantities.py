@@ -12,8 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from .checks import attempt, is_finite_number, refuse
+from .checks import attempt, is_finite_number, refuse, repetitions
+from .files import read_lines, write_table
 from .history import History
+from .toml import tables_of
 
 QUANTITIES_FILE = "quantities.csv"
 KEYS = ("name", "of", "at", "tolerance", "scale")
@@ -130,14 +132,11 @@ def read_quantities(content: Mapping[str, Any], check_of: Callable[[str], object
     ValueError
         Names every mistake in all of the tables.
     """
-    entries = content.get("quantity", [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ValueError("quantity: must be tables [[quantity]]")
+    entries = tables_of(content, "quantity")
     faults: list[str] = []
     found = [attempt(faults, f"quantity {number}: ", _read_quantity, entry, check_of, check_time)
              for number, entry in enumerate(entries, 1)]
-    names = [entry["name"] for entry in entries if isinstance(entry.get("name"), str)]
-    faults += [f"name = {name!r}: is given {names.count(name)} times" for name in dict.fromkeys(names) if names.count(name) > 1]
+    faults += repetitions("quantity", [entry.get("name") for entry in entries])
     if faults:
         raise ValueError("\n".join(faults))
     return [quantity for quantity in found if quantity is not None]
@@ -181,11 +180,7 @@ def write_history(filename: str | Path, quantities: Sequence[Quantity], history:
     quantities : sequence of Quantity
     history : History
     """
-    filename = Path(filename)
-    partial = filename.with_name(filename.name + ".part")
-    np.savetxt(partial, np.column_stack([history.times, *(history[quantity.of] for quantity in quantities)]), fmt="%.15g",
-               delimiter=",", header=",".join(["t", *(quantity.name for quantity in quantities)]), comments="")
-    partial.replace(filename)
+    write_table(filename, {"t": history.times} | {quantity.name: history[quantity.of] for quantity in quantities})
 
 
 def read_values(filename: str | Path, quantities: Sequence[Quantity]) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -220,12 +215,7 @@ def read_values(filename: str | Path, quantities: Sequence[Quantity]) -> dict[st
 
 def read_table(filename: str | Path) -> dict[str, np.ndarray]:
     """All columns of quantities.csv by name, "t" first; ValueError if it is no such table."""
-    with open(filename, encoding="utf-8") as file:
-        names = file.readline().strip().split(",")
-        try:
-            values = np.loadtxt(file.readlines() or ["t"], delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise ValueError(f"{filename}: not a table of numbers with one line of names: {error}") from None
-    if names[0] != "t" or values.shape[0] == 0 or values.shape[1] != len(names):
+    names, values = read_lines(filename)
+    if names[0] != "t" or values.shape[1] != len(names):
         raise ValueError(f"{filename}: not a table with a column t and at least one row")
     return dict(zip(names, values.T))

@@ -15,6 +15,7 @@ import numpy as np
 from . import __version__, driver, tensors
 from .coarsen import Content, bare, referred_files, relocated
 from .errors import GranumatError, PathError
+from .files import replacing
 from .paths import read_path_file
 from .quantities import Quantity
 from .toml import write_content
@@ -170,9 +171,8 @@ class Runs:
         result = self.runner.run(relocated(content, lambda file: (self.source / file).resolve()), directory)
 
         def keep() -> None:
-            partial = directory / (RESULT + ".part")
-            partial.write_text(json.dumps({"hash": key, "result": result.to_json()}), encoding="utf-8")
-            partial.replace(directory / RESULT)
+            with replacing(directory / RESULT) as partial:
+                partial.write_text(json.dumps({"hash": key, "result": result.to_json()}), encoding="utf-8")
             if self.progress is not None:
                 words = "failed" if result.failure else f"{result.seconds:.3g} s"
                 of = "" if self.budget is None else f" of at most {self.budget}"

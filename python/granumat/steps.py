@@ -325,13 +325,10 @@ def triaxial(compression: float, drained: bool = True, increments: int = 200, un
 
     Parameters
     ----------
-    compression : float
-        Logarithmic strain along z, compression positive.
+    compression, increments, until
+        As in biaxial.
     drained : bool
         True holds (sigma_xx + sigma_yy)/2, False the volume.
-    increments : int
-    until : str
-        As in Step.
 
     Returns
     -------

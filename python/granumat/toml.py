@@ -1,11 +1,38 @@
-"""Writing TOML: what a path or scene file says as text. Reading is the standard library's."""
+"""TOML: what a path or scene file says, read from text and written as text."""
 
 import json
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from .checks import is_number
+from .files import replacing
+
+
+def read_toml(filename: str | Path) -> dict[str, Any]:
+    """What a TOML file says; ValueError if it is not one."""
+    with open(filename, "rb") as file:
+        try:
+            return tomllib.load(file)
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{filename}: not a TOML file: {error}") from None
+
+
+def table_of(content: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """A table of a file by its name, empty if it is not there; ValueError if it is no table."""
+    table = content.get(name, {})
+    if not isinstance(table, dict):
+        raise ValueError(f"{name}: must be a table [{name}]")
+    return table
+
+
+def tables_of(content: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    """The tables [[name]] of a file, none if there is none; ValueError if there is something else by that name."""
+    tables = content.get(name, [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ValueError(f"{name}: must be tables [[{name}]]")
+    return tables
 
 
 def format_value(value: Any) -> str:
@@ -41,10 +68,9 @@ def format_content(content: Mapping[str, Any]) -> str:
 
 def write_content(filename: str | Path, content: Mapping[str, Any], comments: Sequence[str] = ()) -> None:
     """Write a file of a content; the comments come first, a line each. An old file is replaced at once."""
-    filename = Path(filename)
-    partial = filename.with_name(filename.name + ".part")
-    partial.write_text("".join(f"# {comment}".rstrip() + "\n" for comment in comments) + format_content(content), encoding="utf-8")
-    partial.replace(filename)
+    text = "".join(f"# {comment}".rstrip() + "\n" for comment in comments) + format_content(content)
+    with replacing(filename) as partial:
+        partial.write_text(text, encoding="utf-8")
 
 
 def _is_table(value: Any) -> bool:

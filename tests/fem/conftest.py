@@ -1,8 +1,8 @@
-import os
 import subprocess
-import sys
 
 import pytest
+
+from support.ranks import ENVIRONMENT, on_ranks
 
 
 @pytest.fixture
@@ -11,10 +11,7 @@ def mpirun(tmp_path):
     def run(script, ranks, *arguments):
         path = tmp_path / "script.py"
         path.write_text(script)
-        environment = os.environ | {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}
-        command = ["mpirun", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1", "-n", ranks, sys.executable, path, *arguments]
-        done = subprocess.run([str(word) for word in command], capture_output=True, text=True,
-                              env=environment, cwd=tmp_path)
+        done = subprocess.run(on_ranks(ranks, path, *arguments), capture_output=True, text=True, env=ENVIRONMENT, cwd=tmp_path)
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
     return run

@@ -3,15 +3,16 @@
 import os
 import signal
 import subprocess
-import sys
 import time
 
 import numpy as np
 import pytest
 from mpi4py import MPI
-from test_output import records
 
 from granumat import Material, fem
+from support.ranks import ENVIRONMENT, on_ranks
+from support.scenes import read_table
+from support.xdmf import records
 
 SCRIPT = """
 import os, sys, time
@@ -57,10 +58,8 @@ def test_killed_on_two_ranks_it_ends_alike_on_one_and_three(mpirun, tmp_path):
     mpirun(SCRIPT, 1, "whole", "new", 0)
     expected = np.load(tmp_path / "whole/final.npz")
     moment = np.random.default_rng().integers(6, 29)
-    command = ["mpirun", "--oversubscribe", "--mca", "mpi_yield_when_idle", "1", "-n", "2", sys.executable, "script.py", "cut",
-               "new", "0.05"]
-    with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=os.environ | {
-            "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMP_NUM_THREADS": "1"}) as running:
+    with subprocess.Popen(on_ranks(2, "script.py", "cut", "new", 0.05), cwd=tmp_path, stdout=subprocess.DEVNULL,
+                          stderr=subprocess.DEVNULL, env=ENVIRONMENT) as running:
         while rows(tmp_path / "cut/reactions.csv") < moment:
             assert running.poll() is None
             time.sleep(0.002)
@@ -76,7 +75,7 @@ def test_killed_on_two_ranks_it_ends_alike_on_one_and_three(mpirun, tmp_path):
         for name in expected.files:
             np.testing.assert_allclose(found[name], expected[name], rtol=0, atol=1e-10 * abs(expected[name]).max())
         for name in ("reactions.csv", "probe.csv"):
-            tables = [np.genfromtxt(tmp_path / place / name, delimiter=",", names=True) for place in ("whole", f"on{ranks}")]
+            tables = [read_table(tmp_path / place / name) for place in ("whole", f"on{ranks}")]
             for column in tables[0].dtype.names:
                 np.testing.assert_allclose(tables[1][column], tables[0][column], rtol=1e-8, atol=1e-11, err_msg=column)
         assert (tmp_path / f"on{ranks}/fields.xdmf").read_text() == (tmp_path / "whole/fields.xdmf").read_text()

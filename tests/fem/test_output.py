@@ -1,13 +1,13 @@
 """Fields, tables and pictures on disk agree with the problem that wrote them."""
 
-import xml.etree.ElementTree as ElementTree
-
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 from granumat import Material, driver, fem, tensors
 from granumat.fem.cellwise import VertexMesh
+from support.scenes import read_table
+from support.xdmf import records
 
 MATERIAL = Material(0.5, elastic_strain=1e-2)
 SHEAR = np.array([[0.02, 0.1, 0], [0, -0.03, 0.05], [0, 0, 0.01]])
@@ -20,21 +20,6 @@ def homogeneous(cell="quadrilateral", degree=1, gradient=SHEAR):
     mesh = fem.meshes.box(MPI.COMM_WORLD, [1.0, 2, 1.5][:d], [3, 2, 2][:d], cell)
     everywhere = fem.Displacement(lambda x: np.full(x.shape[1], True), lambda x, t: t * x @ gradient[:d, :d].T)
     return fem.Problem(mesh, MATERIAL, MATERIAL.isotropic(0.6, pressure=0.01), [everywhere], degree=degree)
-
-
-def records(path):
-    """The records of an XDMF series: time, and arrays by name."""
-    def array(item):
-        kind = {"Int": "<i4", "Float": "<f8"}[item.get("NumberType")]
-        assert np.dtype(kind).itemsize == int(item.get("Precision")) and item.get("Endian") == "Little"
-        shape = [int(n) for n in item.get("Dimensions").split()]
-        return np.fromfile(path.parent / item.text, kind, int(np.prod(shape)), offset=int(item.get("Seek"))).reshape(shape)
-
-    for grid in ElementTree.parse(path).getroot().iter("Grid"):
-        if grid.find("Time") is not None:
-            arrays = {attribute.get("Name"): array(attribute.find("DataItem")) for attribute in grid.findall("Attribute")}
-            arrays |= {name: array(grid.find(f"{name}/DataItem")) for name in ("Topology", "Geometry")}
-            yield float(grid.find("Time").get("Value")), grid.find("Topology").get("TopologyType"), arrays
 
 
 def volume_of_cells(shape, corners):
@@ -115,12 +100,12 @@ def test_rows_are_in_the_tables_as_soon_as_their_increment_is_accepted(tmp_path)
 
     def watch(problem):
         if problem.last is not None:
-            row = np.genfromtxt(tmp_path / "r.csv", delimiter=",", names=True, ndmin=1)[-1]
+            row = read_table(tmp_path / "r.csv")[-1]
             force, moment = problem.reaction(part["right"], [1, 1])
             assert [row["right_F_x"], row["right_F_y"], row["right_M"]] == pytest.approx([*force, moment], rel=1e-14)
             assert row["iterations"] == len(problem.last.residuals) - 1
             seen.append(row["t"])
-        place = np.genfromtxt(tmp_path / "p.csv", delimiter=",", names=True, ndmin=1)[-1]
+        place = read_table(tmp_path / "p.csv")[-1]
         start = problem.point_positions(at_start=True)
         nearest = start[np.linalg.norm(start - [0.3, 0.4], axis=1).argmin()]
         assert [place["x"], place["y"]] == pytest.approx(nearest + problem.t * SHEAR[:2, :2] @ nearest, abs=1e-14)

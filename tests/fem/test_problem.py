@@ -134,6 +134,22 @@ def test_every_fault_of_a_problem_is_named_at_once():
         assert word in str(caught.value)
 
 
+def test_every_fault_of_a_meshs_arguments_is_named_at_once():
+    with pytest.raises(ValueError) as caught:
+        fem.meshes.annulus(MPI.COMM_WORLD, (2, 1), (0, 12, 1), -1.0, "triangle", 0.0, 7.0)
+    for words in ("radii = (2, 1): must be 2 numbers above 0, the smaller first", "cells = (0, 12, 1): must be 3 integers above 0",
+                  "height = -1.0", "grading = 0.0", "angle = 7.0", "cell = 'triangle': must be one of hexahedron, tetrahedron"):
+        assert words in str(caught.value)
+    with pytest.raises(ValueError, match=r"cells = \(2, 2\): must be 3 sectors or more a turn"):
+        fem.meshes.annulus(MPI.COMM_WORLD, (1, 2), (2, 2))
+    with pytest.raises(ValueError) as caught:
+        fem.meshes.box(MPI.COMM_WORLD, (1, -1), (2, 2.5), "cube", (1,))
+    for words in ("size = (1, -1)", "cells = (2, 2.5)", "cell = 'cube'", "grading = (1,): must be 2 numbers above 0"):
+        assert words in str(caught.value)
+    with pytest.raises(ValueError, match=r"size = \(1,\): must be 2 or 3 numbers above 0"):
+        fem.meshes.box(MPI.COMM_WORLD, (1,), (2,))
+
+
 def test_conditions_that_meet_no_node_or_contradict_are_named():
     with pytest.raises(ValueError) as caught:
         block([fem.Displacement(lambda x: x[0] > 9), fem.Tied(right, 0, axes=lambda x: np.ones((len(x), 2, 2))),

@@ -1,6 +1,5 @@
 """Scene files: what they may say, what is refused, and that a file does what the same Python does."""
 
-import os
 import re
 import subprocess
 import sys
@@ -13,51 +12,16 @@ from mpi4py import MPI
 
 from granumat import Material, fem, tensors
 from granumat.fem import scene, scene_file, system
-from granumat.paths import read_toml
-from granumat.toml import write_content
+from granumat.toml import read_toml, write_content
+from support import scenes
+from support.ranks import ENVIRONMENT, on_ranks
+from support.scenes import BOX, faults, replaced, solved, written
 
 ROOT = Path(__file__).parents[2]
-BOX = """
-[material]
-elastic_strain = 0.01
-[mesh]
-kind = "box"
-size = [1, 0.5]
-cells = [4, 2]
-[initial]
-state = "isotropic"
-phi = 0.60
-pressure = 0.007
-[[condition]]
-on = "bottom"
-displacement = { x = 0, y = 0 }
-[[condition]]
-on = "top"
-displacement = { x = [[0, 0], [3.5, 0.02], [10, -0.02]] }
-platen = "y"
-pressure = [[0, 0.007], [10, 0.008]]
-[[condition]]
-on = ["left", "right"]
-periodic = true
-[run]
-until = 6
-increment = 1
-"""
-
-
-def written(tmp_path, text):
-    (tmp_path / "scene.toml").write_text(text)
-    return tmp_path / "scene.toml"
-
-
-def faults(tmp_path, text):
-    with pytest.raises(ValueError) as caught:
-        scene_file.read_scene(written(tmp_path, text))
-    return str(caught.value)
 
 
 def test_the_file_does_what_the_same_python_does(tmp_path):
-    found, _ = scene.solve(written(tmp_path, BOX), tmp_path / "out")
+    found, tables = solved(tmp_path, BOX)
     material = Material(0.5, elastic_strain=0.01)
     bottom, top, right = (lambda x: np.isclose(x[1], 0)), (lambda x: np.isclose(x[1], 0.5)), (lambda x: np.isclose(x[0], 1))
     problem = fem.Problem(
@@ -66,34 +30,13 @@ def test_the_file_does_what_the_same_python_does(tmp_path):
          fem.Tied(top, 1), fem.Pressure(top, lambda t: 0.007 + 0.0001 * t), fem.Periodic(right, lambda x: x - [1, 0])])
     fem.run(problem, 6, 1.0, events=[3.5])
     np.testing.assert_allclose(found.displacement, problem.displacement, atol=1e-13)
-    table = np.genfromtxt(tmp_path / "out/reactions.csv", delimiter=",", names=True)
+    table = tables["reactions"]
     assert table["t"].tolist() == [1, 2, 3, 3.5, 4.5, 5.5, 6]                       # the kink is met
     np.testing.assert_allclose(table["bottom_F_y"], 0.007 + 0.0001 * table["t"], rtol=1e-8)
     np.testing.assert_allclose(table["top_F_x"], -table["bottom_F_x"], rtol=1e-8)
 
 
-ANNULUS = """
-[material]
-elastic_strain = 0.01
-[mesh]
-kind = "annulus"
-radii = [1, 2]
-cells = [3, 12]
-[initial]
-state = "isotropic"
-phi = 0.60
-pressure = 0.01
-[[condition]]
-on = "inner"
-rotation = [[0, 0], [10, 0.02]]
-[[condition]]
-on = "outer"
-displacement = { circumferential = 0 }
-platen = "radial"
-pressure = 0.01
-[run]
-until = 3
-increment = 1
+RING = scenes.RING + """
 [output]
 every = 2
 pictures = ["p"]
@@ -102,7 +45,7 @@ probes = { wall = [1.1, 0] }
 
 
 def test_the_ring_turns_and_stays_round(tmp_path):
-    problem, files = scene.solve(written(tmp_path, ANNULUS), tmp_path / "out")
+    problem, _ = solved(tmp_path, RING)
     radius = np.hypot(*problem.positions.T)
     now = problem.positions + problem.displacement
     inner, outer = np.isclose(radius, 1), np.isclose(radius, 2)
@@ -110,12 +53,11 @@ def test_the_ring_turns_and_stays_round(tmp_path):
     turn = np.arctan2(*np.flip(now[inner].T, axis=0)) - np.arctan2(*np.flip(problem.positions[inner].T, axis=0))
     np.testing.assert_allclose(np.mod(turn + 1, 2 * np.pi) - 1, 0.006, atol=1e-13)
     assert np.ptp(np.hypot(*now[outer].T)) < 1e-13 and abs(np.hypot(*now[outer].T) - 2).max() > 1e-6
-    assert all(path.exists() for path in files)
     assert sorted(path.name for path in (tmp_path / "out").glob("*.png")) == [f"p-00000{i}.png" for i in (0, 2, 3)]
 
 
 def test_a_block_with_pressure_and_gravity_rests(tmp_path):
-    problem, _ = scene.solve(written(tmp_path, """
+    problem, tables = solved(tmp_path, """
         [material]
         elastic_strain = 0.01
         [mesh]
@@ -144,9 +86,9 @@ def test_a_block_with_pressure_and_gravity_rests(tmp_path):
         [run]
         until = 1
         increment = 1
-    """), tmp_path / "out")
+    """)
     assert abs(problem.displacement).max() < 1e-12
-    table = np.genfromtxt(tmp_path / "out/reactions.csv", delimiter=",", names=True)
+    table = tables["reactions"]
     assert table["bottom_F_z"] == pytest.approx(0.01 + 0.6 * 0.003 * 2, rel=1e-9)
     depth = 2 - problem.point_positions()[:, 2]
     vertical = 0.01 + 0.6 * 0.003 * depth
@@ -168,15 +110,11 @@ def test_at_rest_the_pressure_at_each_depth_holds_in_the_critical_closure_and_ph
 
 
 def test_steady_shear_is_steady_along_x(tmp_path):
-    text = BOX
-    for old, new in {
-            'state = "isotropic"\nphi = 0.60\npressure = 0.007': 'state = "steady"\nphi = 0.60',
-            'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]': "",
-            "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = [[0, 0], [10, 0.05]], y = 0",
-            "[4, 2]": "[4, 1]"}.items():                                      # with several rows any one may take all of the shear
-        assert old in text
-        text = text.replace(old, new)
-    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
+    problem, _ = solved(tmp_path, replaced(BOX, {
+        'state = "isotropic"\nphi = 0.60\npressure = 0.007': 'state = "steady"\nphi = 0.60',
+        'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]': "",
+        "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = [[0, 0], [10, 0.05]], y = 0",
+        "[4, 2]": "[4, 1]"}))                                                 # with several rows any one may take all of the shear
     start = Material(0.5, elastic_strain=0.01).steady(0.60)
     for name in ("fabric", "stress"):
         in_plane = start[name][[0, 2, 1, 4, 3, 5]]
@@ -259,24 +197,22 @@ def test_sides_that_move_by_a_displacement_gradient_deform_the_body_by_it(tmp_pa
         [run]""", BOX, flags=re.S)
     said = faults(tmp_path, text)
     assert "condition 1: is wrong:\n    y is given by both displacement and gradient" in said
-    problem, _ = scene.solve(written(tmp_path, text.replace("displacement = { y = 0 }", "")), tmp_path / "out")
+    problem, _ = solved(tmp_path, text.replace("displacement = { y = 0 }", ""))
     np.testing.assert_allclose(problem.displacement, problem.positions @ [[0.001, 0.01], [0.02, 0]], atol=1e-9)
     assert "must be a table with some of xx, xy, yx, yy" in faults(tmp_path, text.replace("xx =", "q ="))
     assert "gradient and rotation cannot be given together" in faults(
         tmp_path, text.replace("displacement = { y = 0 }", "rotation = 0"))
-    assert "gradient: not on a ring" in faults(tmp_path, ANNULUS.replace("platen = \"radial\"", "gradient = { xy = 0 }"))
+    assert "gradient: not on a ring" in faults(tmp_path, RING.replace("platen = \"radial\"", "gradient = { xy = 0 }"))
 
 
 def granumat(cwd, *arguments, ranks=1):
-    command = ["mpirun", "--oversubscribe", "--allow-run-as-root", "--mca", "mpi_yield_when_idle", "1", "-n",
-               ranks, sys.executable, "-m", "granumat", *arguments]
-    return subprocess.run([str(word) for word in command], cwd=cwd, capture_output=True, text=True, env=dict(os.environ))
+    return subprocess.run(on_ranks(ranks, "-m", "granumat", *arguments), cwd=cwd, capture_output=True, text=True, env=ENVIRONMENT)
 
 
 @pytest.mark.slow
 @pytest.mark.release_only
 def test_the_command_stops_with_words_and_goes_on_from_there(tmp_path):
-    text = ANNULUS.replace("[10, 0.02]", "[2, 0.004], [2.1, 3]").replace("increment = 1", "increment = 1\nsmallest = 0.05")
+    text = RING.replace("[10, 0.02]", "[2, 0.004], [2.1, 3]").replace("increment = 1", "increment = 1\nsmallest = 0.05")
     written(tmp_path, text)
     done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume", ranks=2)
     assert done.returncode == 2 and done.stderr.count("there is no out/checkpoint.npz to go on from") == 1
@@ -286,11 +222,11 @@ def test_the_command_stops_with_words_and_goes_on_from_there(tmp_path):
     assert "everything up to t = 2 is in out: fields.xdmf, reactions.csv" in done.stderr and "Traceback" not in done.stderr
     table = (tmp_path / "out/reactions.csv").read_text()
     assert table.count("\n") == 3
-    written(tmp_path, ANNULUS.replace("[10, 0.02]", "[2, 0.004], [4, 0]"))
+    written(tmp_path, RING.replace("[10, 0.02]", "[2, 0.004], [4, 0]"))
     done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume")
     assert done.returncode == 0 and "t = 3 after" in done.stdout
     assert (tmp_path / "out/reactions.csv").read_text().startswith(table)
-    written(tmp_path, ANNULUS.replace("elastic_strain = 0.01", "elastic_strain = 0.02"))
+    written(tmp_path, RING.replace("elastic_strain = 0.01", "elastic_strain = 0.02"))
     done = granumat(tmp_path, "solve", "scene.toml", "--out", "out", "--resume", ranks=2)
     assert done.returncode == 2 and done.stderr.count("material's elastic_strain: 0.01 in the checkpoint, 0.02 here") == 1
 
@@ -314,15 +250,15 @@ def test_a_gmsh_file_is_held_by_its_physical_names_and_numbers(tmp_path):
     gmsh.model.mesh.generate(2)
     gmsh.write(str(tmp_path / "box.msh"))
     gmsh.finalize()
-    text = BOX.replace('kind = "box"\nsize = [1, 0.5]\ncells = [4, 2]', 'kind = "gmsh"\nfile = "box.msh"')
-    text = text.replace('on = ["left", "right"]\nperiodic = true', 'on = "sides"\npressure = 0.007')
-    text = text.replace('on = "bottom"', 'on = "floor"').replace('on = "top"', "on = 7")
-    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
+    text = replaced(BOX, {'kind = "box"\nsize = [1, 0.5]\ncells = [4, 2]': 'kind = "gmsh"\nfile = "box.msh"',
+                          'on = ["left", "right"]\nperiodic = true': 'on = "sides"\npressure = 0.007',
+                          'on = "bottom"': 'on = "floor"', 'on = "top"': "on = 7"})
+    problem, _ = solved(tmp_path, text)
     lid = np.isclose(problem.positions[:, 1], 0.5)
     np.testing.assert_allclose(problem.displacement[lid, 0], np.interp(6, [3.5, 10], [0.02, -0.02]), atol=1e-14)
     assert (problem.displacement[np.isclose(problem.positions[:, 1], 0)] == 0).all()
     with pytest.raises(ValueError, match="there are no facets 'cellar': the file names floor, lid, sides"):
-        scene.solve(written(tmp_path, text.replace('"floor"', '"cellar"')), tmp_path / "out")
+        solved(tmp_path, text.replace('"floor"', '"cellar"'))
 
 
 def test_without_gmsh_a_gmsh_file_is_refused_with_the_packages_name(tmp_path, monkeypatch):
@@ -331,7 +267,7 @@ def test_without_gmsh_a_gmsh_file_is_refused_with_the_packages_name(tmp_path, mo
     text = re.sub(r"\[\[condition\]\].*?\[run", "[run", BOX, flags=re.S)
     text = text.replace('kind = "box"\nsize = [1, 0.5]\ncells = [4, 2]', 'kind = "gmsh"\nfile = "box.msh"')
     with pytest.raises(ImportError, match="python3-gmsh"):
-        scene.solve(written(tmp_path, text), tmp_path / "out")
+        solved(tmp_path, text)
 
 
 def test_the_reference_blas_is_warned_of_with_the_better_package(monkeypatch):
@@ -361,18 +297,12 @@ raise SystemExit(cli.main(["solve", "scene.toml", "--out", "out"]))
 
 # ---- keys that make a model cheaper ----------------------------------------------------------------------------------
 
-def solved(tmp_path, text):
-    """The problem of a scene file, and its reactions, both at the end."""
-    problem, _ = scene.solve(written(tmp_path, text), tmp_path / "out")
-    table = np.genfromtxt(tmp_path / "out/reactions.csv", delimiter=",", names=True)
-    return problem, {name: table[name][-1] for name in table.dtype.names}
-
-
 def test_newtons_tolerances_are_those_of_the_file(tmp_path):
     loose = "tolerances = { force = 1e-4, correction = 1e-2 }"
-    tight, reactions = solved(tmp_path, BOX)
-    problem, near = solved(tmp_path, BOX.replace("[[condition]]", f"[problem]\n{loose}\n[[condition]]", 1))
+    tight, tables = solved(tmp_path, BOX)
+    problem, loose_tables = solved(tmp_path, BOX + f"[problem]\n{loose}\n")
     assert tight.tolerances == fem.Tolerances() and problem.tolerances == fem.Tolerances(1e-4, 1e-2, 15)
+    reactions, near = tables["reactions"][-1], loose_tables["reactions"][-1]
     assert near["iterations"] < reactions["iterations"]
     assert 0 < abs(near["top_F_x"] / reactions["top_F_x"] - 1) < 1e-3
     said = faults(tmp_path, BOX + "[problem]\ntolerances = { force = 2, iterations = 0, displacement = 1 }")

@@ -7,37 +7,20 @@ import time
 
 import numpy as np
 import pytest
+from mpi4py import MPI
 
 from granumat import ladder
+from granumat.fem import scene
 from granumat.fem.ladder import SceneRunner, share_of_shear
 from granumat.paths import read_toml
 from granumat.quantities import read_values
 from granumat.runs import Runs
+from support import scenes
+from support.scenes import replaced
 
 pytestmark = pytest.mark.release_only
 
-RING = """
-[material]
-elastic_strain = 0.01
-[mesh]
-kind = "annulus"
-radii = [1, 2]
-cells = [8, 24]
-[initial]
-state = "isotropic"
-phi = 0.60
-pressure = 0.01
-[[condition]]
-on = "inner"
-rotation = [[0, 0], [20, 0.04], [40, 0]]
-[[condition]]
-on = "outer"
-displacement = { circumferential = 0 }
-platen = "radial"
-pressure = 0.01
-[run]
-until = 40
-increment = 1
+RING = replaced(scenes.RING, {"[4, 12]": "[8, 24]", "[10, 0.02]": "[20, 0.04], [40, 0]", "until = 3": "until = 40"}) + """
 [[quantity]]
 name = "torque"
 of = "moment of inner"
@@ -45,29 +28,12 @@ at = [10, 20, 30, 40]
 [ladder]
 symmetry = "axial"
 """
-BLOCK = """
-[material]
-elastic_strain = 0.01
-[mesh]
-kind = "box"
-size = [1, 2]
-cells = [8, 16]
-[initial]
-state = "isotropic"
-phi = 0.60
-pressure = 0.003
-[[condition]]
-on = "bottom"
-displacement = { x = 0, y = 0 }
-[[condition]]
-on = "top"
-displacement = { x = 0, y = [[0, 0], [100, -0.42]] }
-[[condition]]
-on = ["left", "right"]
-pressure = 0.003
-[run]
-until = 100
-increment = 4
+BLOCK = replaced(scenes.BOX, {
+    "size = [1, 0.5]\ncells = [4, 2]": "size = [1, 2]\ncells = [8, 16]",
+    "phi = 0.60\npressure = 0.007": "phi = 0.60\npressure = 0.003",
+    "x = [[0, 0], [3.5, 0.02], [10, -0.02]]": "x = 0, y = [[0, 0], [100, -0.42]]",
+    'platen = "y"\npressure = [[0, 0.007], [10, 0.008]]\n': "", "periodic = true": "pressure = 0.003",
+    "until = 6\nincrement = 1": "until = 100\nincrement = 4"}) + """
 [[quantity]]
 name = "force"
 of = "reaction y of top"
@@ -81,7 +47,6 @@ def study(report, name):
 
 @pytest.mark.slow
 def test_a_ring_becomes_a_graded_sector_whose_error_is_the_printed_one(tmp_path, capsys):
-    from granumat.fem import scene
     file = tmp_path / "ring.toml"
     file.write_text(RING)
     report = ladder.climb(file, 0.05, tmp_path / "out")
@@ -137,7 +102,6 @@ def test_a_run_that_is_killed_goes_on_from_its_checkpoint_with_the_same_values(t
 
 
 def test_the_share_of_shear_is_a_half_where_it_is_uniform_and_small_where_it_localises():
-    from mpi4py import MPI
     volumes = np.array([1.0, 2, 3, 4])
     assert np.isclose(share_of_shear(MPI.COMM_SELF, np.ones(4), volumes), 0.5)
     assert np.isclose(share_of_shear(MPI.COMM_SELF, np.array([1.0, 0, 0, 0]), volumes), 0.05)

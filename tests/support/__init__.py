@@ -1,1 +1,1 @@
-"""What several tests use: independent solutions of the model, and a host that calls the UMAT as finite-element codes do."""
+"""What several tests use: independent solutions of the model, hosts that call it, scene files and what they leave."""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import refuse
+from ..files import replacing
 from .cellwise import CellOrder, on_rank_0
 from .output import Output
 from .problem import Problem
@@ -61,12 +62,10 @@ class Checkpoint:
 
         def replace_file() -> None:
             description["outputs"] = {output.path.name: output.bookmark() for output in self.outputs}
-            partial = self.path.with_name(self.path.name + ".part")
-            with open(partial, "wb") as stream:
+            with replacing(self.path) as partial, open(partial, "wb") as stream:
                 np.savez(stream, description=json.dumps(description, default=float), **arrays)
                 stream.flush()
                 os.fsync(stream.fileno())
-            partial.replace(self.path)
             directory = os.open(self.path.parent, os.O_RDONLY)
             os.fsync(directory)                                  # so that the new name is on disk as well
             os.close(directory)
@@ -76,7 +75,7 @@ class Checkpoint:
 
 def _numbers(problem: Problem, last: Trial) -> dict[str, float | None]:
     return {"t": problem.t, "increments": problem.increments, "next_increment": problem.next_increment,
-            "_last_duration": last.duration}
+            "last_duration": last.duration}
 
 
 def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
@@ -180,7 +179,7 @@ def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[s
         return values.reshape(-1, *values.shape[2:])
 
     numbers, states = description["numbers"], at_points("states").view(np.recarray)
-    last = Trial(numbers["t"], numbers["_last_duration"], at_nodes("u"), states, at_points("gradients"), at_own_cells("volumes"),
+    last = Trial(numbers["t"], numbers["last_duration"], at_nodes("u"), states, at_points("gradients"), at_own_cells("volumes"),
                  at_own_cells("stress"), at_own_cells("forces"), description["residual"], tuple(description["residuals"]))
     return Snapshot(numbers["t"], numbers["increments"], numbers["next_increment"], at_nodes("displacement"), states,
                     at_points("shear_strain"), at_points("volume_strain"), last)

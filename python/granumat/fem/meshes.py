@@ -7,7 +7,7 @@ import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
-from ..checks import refuse
+from ..checks import is_positive_integer, refuse
 from ._compat import FacetTags, create_mesh, gmsh_reader, quiet_compiler
 
 CELL_SHAPES = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}
@@ -45,7 +45,7 @@ def box(comm: MPI.Comm, size: Sequence[float], cells: Sequence[int], cell: str |
 
 
 def _graded(length: float, cells: int, grading: float) -> np.ndarray:
-    """Ends (cells + 1) of cells from 0 to a length, whose widths form a geometric series from 1 to grading, but for a factor."""
+    """Ends (cells + 1) of cells from 0 to a length, the widths a geometric series whose last is `grading` times the first."""
     widths = np.geomspace(1, grading, cells)
     ends = length * np.concatenate([[0], np.cumsum(widths) / widths.sum()])
     ends[-1] = length
@@ -78,7 +78,7 @@ def annulus(comm: MPI.Comm, radii: Sequence[float], cells: Sequence[int], height
     cell = check_annulus(radii, cells, height, cell, grading, angle)
     rings, sectors = cells[:2]
     r = radii[0] + _graded(radii[1] - radii[0], rings, grading)
-    r[-1] = radii[1]
+    r[-1] = radii[1]                                             # without round-off
     rays = sectors if angle == 2 * np.pi else sectors + 1
     theta = angle * np.arange(rays) / sectors
     positions = np.stack([np.outer(r, np.cos(theta)).ravel(), np.outer(r, np.sin(theta)).ravel()], axis=1)
@@ -151,23 +151,42 @@ def _split(corners: np.ndarray, cell: str) -> np.ndarray:
 def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | None = None, cell: str | None = None,
                   grading: float = 1.0, angle: float = 2 * np.pi) -> str:
     """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
-    sizes = (radii[0], radii[1] - radii[0], *(() if height is None else (height,)))
-    return check_box(sizes[-2:] if height is None else sizes, cells, cell, None,
-                     radii[0] > 0 and cells[1] * 2 * np.pi >= 3 * angle > 0 and angle <= 2 * np.pi and grading > 0)
-
-
-def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None, grading: Sequence[float] | None = None,
-              more: bool = True) -> str:
-    """The name of the cells' shape; ValueError where box cannot be made of its arguments, or where `more` is false."""
-    faults = []
-    if len(size) not in (2, 3) or not (np.asarray(size, float) > 0).all() or not more:
-        faults.append(f"sizes {size!r}: must be 2 or 3 numbers above 0; of a ring also radius, grading, and "
-                      "angle, at most 2 pi, and 3 sectors or more a turn")
-    elif len(cells) != len(size) or not all(isinstance(count, (int, np.integer)) and count > 0 for count in cells):
-        faults.append(f"cells = {cells!r}: must be {len(size)} integers above 0")
-    elif cell is not None and cell not in CELL_SHAPES[len(size)]:
-        faults.append(f"cell = {cell!r}: must be one of {', '.join(CELL_SHAPES[len(size)])}")
-    if grading is not None and (len(grading) != len(size) or not all(ratio > 0 for ratio in grading)):
-        faults.append(f"grading = {grading!r}: must be {len(size)} numbers above 0")
+    d = 2 if height is None else 3
+    faults = _cell_faults(cells, cell, d)
+    if len(radii) != 2 or not 0 < radii[0] < radii[1]:
+        faults.append(f"radii = {radii!r}: must be 2 numbers above 0, the smaller first")
+    if height is not None and not height > 0:
+        faults.append(f"height = {height!r}: must be a number above 0")
+    if not grading > 0:
+        faults.append(f"grading = {grading!r}: must be a number above 0")
+    if not 0 < angle <= 2 * np.pi:
+        faults.append(f"angle = {angle!r}: must be above 0 and at most 2 pi")
+    elif not faults and cells[1] * 2 * np.pi < 3 * angle:
+        faults.append(f"cells = {cells!r}: must be 3 sectors or more a turn")
     refuse("the mesh cannot be made", faults)
-    return cell or CELL_SHAPES[len(size)][0]
+    return cell or CELL_SHAPES[d][0]
+
+
+def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None,
+              grading: Sequence[float] | None = None) -> str:
+    """The name of the cells' shape; ValueError where box cannot be made of its arguments."""
+    d = len(size)
+    if d not in CELL_SHAPES:
+        raise ValueError(f"the mesh cannot be made:\n  size = {size!r}: must be 2 or 3 numbers above 0")
+    faults = _cell_faults(cells, cell, d)
+    if not all(length > 0 for length in size):
+        faults.append(f"size = {size!r}: must be {d} numbers above 0")
+    if grading is not None and (len(grading) != d or not all(ratio > 0 for ratio in grading)):
+        faults.append(f"grading = {grading!r}: must be {d} numbers above 0")
+    refuse("the mesh cannot be made", faults)
+    return cell or CELL_SHAPES[d][0]
+
+
+def _cell_faults(cells: Sequence[int], cell: str | None, d: int) -> list[str]:
+    """What is wrong with the numbers of cells along the axes of a mesh in d dimensions, and with their shape."""
+    faults = []
+    if len(cells) != d or not all(map(is_positive_integer, cells)):
+        faults.append(f"cells = {cells!r}: must be {d} integers above 0")
+    if cell is not None and cell not in CELL_SHAPES[d]:
+        faults.append(f"cell = {cell!r}: must be one of {', '.join(CELL_SHAPES[d])}")
+    return faults

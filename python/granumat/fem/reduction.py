@@ -54,7 +54,7 @@ def _sides_across(mesh: dict[str, Any]) -> tuple[str, str]:
 
 
 def _in_plane(scene: Scene, across: int) -> Scene:
-    """The scene without an axis."""
+    """The scene in plane strain, without the axis across."""
     mesh = dict(scene.mesh)
     for name in {"size", "grading", "cells"} & set(mesh):
         if mesh["kind"] == "box" or name == "cells":
@@ -79,7 +79,7 @@ def _without(values: Sequence[float], axis: int) -> list[float]:
 
 
 def _side_in_plane(side: SideConditions, across: int) -> SideConditions:
-    """A side without an axis."""
+    """A side of the scene in plane strain, whose components are numbered without the axis across."""
     def component(i: int) -> int:
         return i - (i > across)
 
@@ -91,7 +91,7 @@ def _side_in_plane(side: SideConditions, across: int) -> SideConditions:
 
 
 def _of_any_x(region: Region) -> Region:
-    """A box in a body that is uniform along x, from wherever to wherever along it."""
+    """A region that is a box, extended over all x, along which the body is uniform."""
     assert region.box is not None
     lowest, highest = region.box
     return replace(region, box=([-np.inf, *lowest[1:]], [np.inf, *highest[1:]]))

@@ -193,11 +193,6 @@ class Scene:
     quantities: list[Quantity]
 
     @property
-    def held_sides(self) -> list[str]:
-        """Names of the sides that conditions hold, which have a reaction."""
-        return list(dict.fromkeys(str(entry.on) for entry in self.conditions if entry.is_held))
-
-    @property
     def events(self) -> list[float]:
         """Pseudo-times that the run meets exactly: kinks of the functions, times of the output and of the quantities."""
         kinks = {t for condition in self.conditions for function in condition.functions for t in function.times}

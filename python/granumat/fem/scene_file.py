@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import attempt, is_number, refuse
+from ..checks import attempt, is_finite_number, is_positive_integer, refuse, repetitions
 from ..coarsen import claimed_symmetries
 from ..material import Material
-from ..paths import INITIAL, read_initial, read_material, read_toml, table_of
+from ..paths import INITIAL, read_initial, read_material
 from ..quantities import Quantity, read_quantities
+from ..toml import read_toml, table_of, tables_of
 from . import meshes
 from .fields import SCALAR_FIELDS
 from .problem import Tolerances
@@ -46,10 +47,7 @@ def read_scene(path: str | Path) -> Scene:
     kind, d = _kind_and_dimension(content.get("mesh"))
     settings = attempt(faults, "[problem]: ", _settings, content, d)
     initial = attempt(faults, "", _initial, content, material, kind, d, settings or {})
-    entries = content.get("condition", [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        faults.append("condition: must be tables [[condition]]")
-        entries = []
+    entries = attempt(faults, "", tables_of, content, "condition") or []
     conditions = [attempt(faults, f"condition {number}: ", _side_conditions, entry, kind, d)
                   for number, entry in enumerate(entries, 1)]
     run = attempt(faults, "[run]: ", _run, content)
@@ -77,23 +75,19 @@ def _check_keys(table: dict[str, Any], required: Sequence[str], optional: Sequen
 
 def _check_number(table: dict[str, Any], key: str, allowed_values: str, allowed: Callable[[float], bool],
                   faults: list[str]) -> None:
-    if key in table and not (_is_finite(table[key]) and allowed(table[key])):
+    if key in table and not (is_finite_number(table[key]) and allowed(table[key])):
         faults.append(f"{key} = {table[key]!r}: must be {allowed_values}")
 
 
 def _check_count(table: dict[str, Any], key: str, name: str, faults: list[str]) -> None:
     value = table.get(key, 1)
-    if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+    if not is_positive_integer(value):
         faults.append(f"{name} = {value!r}: must be an integer, at least 1")
-
-
-def _is_finite(value: object) -> bool:
-    return is_number(value) and bool(np.isfinite(value))
 
 
 def _are_numbers(value: object, *counts: int) -> bool:
     """Whether a value is a list of as many numbers as one of counts."""
-    return isinstance(value, list) and len(value) in counts and all(map(_is_finite, value))
+    return isinstance(value, list) and len(value) in counts and all(map(is_finite_number, value))
 
 
 def _vector_lengths(d: int | None) -> tuple[int, ...]:
@@ -103,7 +97,7 @@ def _vector_lengths(d: int | None) -> tuple[int, ...]:
 
 def _function(value: object, name: str, faults: list[str], start: float | None = None) -> Function:
     """The function of pseudo-time that a number or a table [[t, value], ...] is; `start`: what it must be at t = 0."""
-    if is_number(value) and np.isfinite(value):
+    if is_finite_number(value):
         function = Function((0.0,), (float(value),))
     elif (isinstance(value, list) and value and all(_are_numbers(row, 2) for row in value)
           and all(np.diff([row[0] for row in value]) > 0)):
@@ -238,7 +232,7 @@ def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
     faults: list[str] = []
     _check_keys(table, (), ("every", "times", "pictures", "probes", "center", "checkpoint"), faults)
     times = table.get("times", [])
-    if not isinstance(times, list) or not all(_is_finite(t) and t >= 0 for t in times):
+    if not isinstance(times, list) or not all(is_finite_number(t) and t >= 0 for t in times):
         faults.append(f"times = {times!r}: must be a list of numbers, at least 0")
     _check_count(table, "every", "every", faults)
     pictures = table.get("pictures", [])
@@ -264,13 +258,10 @@ def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
 
 
 def _regions(content: dict[str, Any], d: int | None) -> list[Region]:
-    entries = content.get("region", [])
-    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-        raise ValueError("region: must be tables [[region]]")
+    entries = tables_of(content, "region")
     faults: list[str] = []
     regions = [attempt(faults, f"region {number}: ", _region, entry, d) for number, entry in enumerate(entries, 1)]
-    names = [entry["name"] for entry in entries if isinstance(entry.get("name"), str)]
-    faults += [f"region {name!r} is given {names.count(name)} times" for name in dict.fromkeys(names) if names.count(name) > 1]
+    faults += repetitions("region", [entry.get("name") for entry in entries])
     if faults:
         raise ValueError("\n".join(faults))
     return [region for region in regions if region is not None]
@@ -336,8 +327,8 @@ def _side_conditions(entry: dict[str, Any], kind: str | None, d: int | None) -> 
     axis = None
     if "periodic" in entry and d is not None:                   # the side away from 0 has the displacement of the other one
         axis, sides = BOX_SIDES[d][sides[0]][0], [side for side in sides if BOX_SIDES[d][side][1] == 1]
-    return [SideConditions(side, displacement, gradient, rotation, entry.get("center", [0.0, 0.0]), platen, pressure, traction, axis)
-            for side in sides]
+    return [SideConditions(side, displacement, gradient, rotation, entry.get("center", [0.0, 0.0]), platen, pressure, traction,
+                           axis) for side in sides]
 
 
 def _sides(entry: dict[str, Any], kind: str | None, d: int | None, faults: list[str]) -> list[Any]:

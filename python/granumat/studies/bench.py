@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from .. import driver
-from ..core import STATE, arithmetic
+from ..core import ARITHMETIC_A_ROUND, STATE, arithmetic
 from ..material import CLOSURES, Material
 from . import chart, rate_form
 from .batches import BATCH_SHEAR, PHI, random_batch
@@ -104,7 +104,7 @@ def print_batch(effort: Effort) -> None:
         one_thread,
         lambda: material.update_with_tangent(states, gradient, out=out),
         lambda: material.update_with_tangent(states, gradient, spin=True, out=out)], effort.rounds))
-    stream, multiply = least_seconds([lambda: np.copyto(target, source), lambda: arithmetic(operations // 192)],
+    stream, multiply = least_seconds([lambda: np.copyto(target, source), lambda: arithmetic(operations // ARITHMETIC_A_ROUND)],
                                      min(50, effort.rounds))
     stream, multiply = stream / streamed * 1e9, multiply / operations * OPERATIONS * 1e9
     single, double = least_seconds([one_thread, functools.partial(one_thread, threads=2)], effort.rounds, time.perf_counter)

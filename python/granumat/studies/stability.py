@@ -18,6 +18,7 @@ from matplotlib.patches import Patch
 from .. import tensors
 from ..core import STATE
 from ..errors import MaterialError
+from ..files import replacing
 from ..material import METHODS, Material
 from .rate_form import steady_coordination
 
@@ -207,9 +208,8 @@ def _worst_of_directions(materials: Sequence[Material], sizes: np.ndarray) -> np
 def _write(file: Path, names: Sequence[str], rows: Sequence[tuple[str, Sequence[float]]]) -> None:
     """A table whose first column is text; an old file is replaced only once the new one is complete."""
     lines = [",".join(names), *(",".join([text, *(f"{value:.6g}" for value in values)]) for text, values in rows)]
-    partial = file.with_name(file.name + ".part")
-    partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    partial.replace(file)
+    with replacing(file) as partial:
+        partial.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 Map = tuple[np.ndarray, np.ndarray]     # states along an axis, and outcomes (materials, states, gammas)
