@@ -48,8 +48,7 @@ def true_scene(content, mesh):
 
 
 def study(file, mesh, tolerances, out):
-    """Rows of tolerance, report of the ladder, true errors (quantities). `mesh` of the true solution: True for a path, None for none.
-    """
+    """Rows of tolerance, report, true errors (quantities); `mesh` is that of the true solution, True for a path, None for none."""
     content, is_path = read_toml(file), mesh is True
     runner = PointRunner(file) if is_path else SceneRunner(file)
     truth = None
@@ -101,13 +100,12 @@ def summary(found):
                 worst = np.argmax(true)
                 pairs.append((tolerance, report.predicted[worst], true[worst], report.is_proved))
     tolerance, predicted, true, proved = np.array(pairs, float).T
-    counted = true > ROUND_OFF
-    ratio = (predicted / true)[counted]
-    print(f"\n{len(pairs)} pairs: true error below {ROUND_OFF:.0e} in {np.count_nonzero(~counted)}; of the other {counted.sum()} it is "
-          f"below the predicted one in {np.count_nonzero(ratio >= 1)}, within a factor of 2 of it in "
-          f"{np.count_nonzero((ratio >= 0.5) & (ratio <= 2))}, more than 2 times as large in {np.count_nonzero(ratio < 0.5)}")
-    print(f"above the tolerance in {np.count_nonzero(true > tolerance)}, and in "
-          f"{np.count_nonzero((true > tolerance) & (proved == 1))} without saying so")
+    ratio = (predicted / true)[true > ROUND_OFF]
+    print(f"\n{true.size} pairs, in {true.size - ratio.size} of them the true error is round-off. In the other {ratio.size} it is "
+          f"below the predicted one in {sum(ratio >= 1)}, within a factor of 2 of it in {sum((ratio >= 0.5) & (ratio <= 2))}, "
+          f"and more than twice as large in {sum(ratio < 0.5)}.")
+    above = true > tolerance
+    print(f"It is above the tolerance in {sum(above)}, and in {sum(above & (proved == 1))} of these without saying so.")
     return {"tolerance": tolerance, "predicted": predicted, "true": true, "proved": proved}
 
 

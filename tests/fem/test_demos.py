@@ -36,3 +36,10 @@ def test_a_demo_gives_the_same_and_its_picture_on_one_two_and_three_ranks(name, 
         for key in one.files:
             size = 1.0 if key == "difference" else abs(one[key]).max()
             assert np.allclose(several[key], one[key], rtol=0, atol=AGREEMENT * size), (name, ranks, key)
+
+
+def test_what_the_ladder_recommends_for_paths_of_the_demos_is_as_good_as_it_says(mpirun, tmp_path):
+    mpirun(SCRIPT, 1, "ladder", tmp_path / "out")
+    pairs = np.load(tmp_path / "out.npz")
+    assert pairs["true"].size == 2 and pairs["proved"].all() and (pairs["true"] <= pairs["predicted"] + 1e-4).all()
+    assert (tmp_path / "out/ladder.png").exists()

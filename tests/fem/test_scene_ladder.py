@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,13 +13,14 @@ from mpi4py import MPI
 from granumat import ladder
 from granumat.fem import scene
 from granumat.fem.ladder import SceneRunner, share_of_shear
-from granumat.paths import read_toml
 from granumat.quantities import read_values
 from granumat.runs import Runs
+from granumat.toml import read_toml, write_content
 from support import scenes
 from support.scenes import replaced
 
 pytestmark = pytest.mark.release_only
+ROOT = Path(__file__).parents[2]
 
 RING = replaced(scenes.RING, {"[4, 12]": "[8, 24]", "[10, 0.02]": "[20, 0.04], [40, 0]", "until = 3": "until = 40"}) + """
 [[quantity]]
@@ -59,6 +61,18 @@ def test_a_ring_becomes_a_graded_sector_whose_error_is_the_printed_one(tmp_path,
     assert np.isclose(error, report.measured[0], rtol=1e-6)
     assert f"torque: error {error:.2%}" in (tmp_path / "out/recommended.toml").read_text()
     assert (tmp_path / "out/ladder.png").exists()
+
+
+@pytest.mark.parametrize("mu, is_noisy", [(0.1, True), (0.5, False)])
+def test_a_symmetry_is_checked_with_noise_where_the_transverse_modulus_becomes_negative(tmp_path, mu, is_noisy):
+    content = read_toml(ROOT / "demos/scenes/shear-box.toml")
+    content["material"] = {"mu": mu, "elastic_strain": 0.01}
+    content["initial"]["phi"] = {0.1: 0.63, 0.5: 0.60}[mu]
+    write_content(tmp_path / "box.toml", content)
+    report = ladder.climb(tmp_path / "box.toml", 0.05, tmp_path / "out", budget=6)
+    assert len(list((tmp_path / "out/runs").glob("dimension-with-noise*"))) == is_noisy
+    errors = study(report, "dimension").findings[1].errors
+    assert (errors > 1e-5).any() if is_noisy else (errors < 1e-5).all()
 
 
 @pytest.mark.slow
