@@ -2,7 +2,8 @@
 # # What every path and scene of the demos needs, and whether the ladder tells the truth
 #
 # `granumat ladder` is given each file at several tolerances. What it recommends is compared with a run of its own, on a mesh and in
-# increments that are finer than any that the ladder has used: the true error, against the predicted one.
+# increments that are finer than any that the ladder has used: the true error, against the predicted one. Last, the times of the
+# models beside each other, and of plane strain beside three dimensions.
 
 # %%
 import sys
@@ -12,7 +13,7 @@ import fields
 import numpy as np
 from matplotlib.figure import Figure
 
-from granumat import estimate, ladder
+from granumat import coarsen, estimate, ladder
 from granumat.fem.ladder import SceneRunner
 from granumat.runs import PointRunner, Runs
 from granumat.toml import read_toml
@@ -31,6 +32,8 @@ SCENES = {                          # the meshes of the true solutions; none whe
     "biaxial-block-rate": {"cells": [48, 96]},
     "ring-shear-3d": {"sector": True, "cells": [20, 320, 18]},
 }
+REPETITIONS = 3                     # of the runs whose times are compared
+COARSER = "4 times the file's"      # their increments
 FINER = 4                           # increments of the true solutions, of one of the file's
 ROUND_OFF = 1e-5                    # errors below are round-off and what Newton's tolerance leaves
 SHORT = {"paths": ("reversal", "start-up"), "scenes": (), "tolerances": (0.05,)}
@@ -72,6 +75,7 @@ def main(paths=PATHS, scenes=tuple(SCENES), tolerances=TOLERANCES, out="results/
         print_table({name: found[name] for name in names})
     pairs = summary(found)
     fields.save(picture(found), out, "ladder")
+    print_costs(scenes, Path(out) / "costs")
     return pairs
 
 
@@ -107,6 +111,55 @@ def summary(found):
     above = true > tolerance
     print(f"It is above the tolerance in {sum(above)}, and in {sum(above & (proved == 1))} of these without saying so.")
     return {"tolerance": tolerance, "predicted": predicted, "true": true, "proved": proved}
+
+
+def compare_times(runner, variants, out):
+    """Times of variants of a scene over the first one's, by name, medians of runs that alternate; not a number if one fails."""
+    seconds = {name: [] for name in variants}
+    for _ in range(REPETITIONS):
+        for name, content in variants.items():
+            out.mkdir(parents=True, exist_ok=True)
+            result = runner.run(coarsen.bare(content), out)
+            (out / "checkpoint.npz").unlink(missing_ok=True)
+            seconds[name].append(np.nan if result.failure else result.seconds)
+    first = np.median(seconds[next(iter(variants))])
+    return {name: np.median(values) / first for name, values in seconds.items()}
+
+
+def print_costs(scenes, out):
+    """Times of the models over the richest one's, and of plane strain over three dimensions, in Markdown."""
+    print("\n| scene | time over that of the first |")
+    print("|---|---|")
+    for name in scenes:
+        file = DEMOS / f"scenes/{name}.toml"
+        content = read_toml(file)
+        axes = {axis.name: axis for axis in coarsen.scene_axes(content)}
+        content = next(rung for rung in axes["increment"].rungs if rung.name == COARSER).change(content)
+        if "dimension" in axes:
+            content = axes["dimension"].rungs[1].change(content)
+        rungs = [*axes["closure"].rungs, *axes["elastic strain"].rungs[1:]]
+        print_times(name, compare_times(SceneRunner(file), {rung.name: rung.change(content) for rung in rungs}, out))
+    solid = {"homogeneous-shear": read_toml(DEMOS / "scenes/homogeneous-shear.toml"), "annulus": ring_in_space()}
+    for name, content in solid.items():
+        if name in scenes:
+            plane = content | {"mesh": content["mesh"] | {"plane": True}}
+            variants = {"three dimensions": content, "plane strain": plane}
+            print_times(name, compare_times(SceneRunner(DEMOS / f"scenes/{name}.toml"), variants, out))
+
+
+def print_times(name, times):
+    print(f"| {name} | " + ", ".join(f"{variant} {time:.2f}" for variant, time in times.items()) + " |")
+
+
+def ring_in_space():
+    """The annulus as a hollow cylinder of one layer of cells."""
+    content = read_toml(DEMOS / "scenes/annulus.toml")
+    content["mesh"] |= {"height": 0.1, "cells": [8, 24, 1]}
+    content["condition"].append({"on": ["bottom", "top"], "displacement": {"z": 0}})
+    content["quantity"] = [{"name": "torque", "of": "moment z of inner"}]
+    content["output"] = {}
+    content["run"]["increment"] *= FINER
+    return content
 
 
 def picture(found):
