@@ -1,5 +1,7 @@
 """The update is exact: against an adaptive 8th-order solution of the paper's rate equations (support/reference.py)."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -169,3 +171,34 @@ def test_without_elastic_strain_any_increment_of_the_critical_closure_is_one_ste
     whole, twice = material.update(state, gradient), material.update(material.update(state, gradient / 2), gradient / 2)
     np.testing.assert_allclose(whole["stress"], twice["stress"], rtol=1e-12)
     assert np.isfinite(material.update_with_tangent(state, gradient)[1]).all()
+
+
+def scaled_to_degree(degree, factor, c, fabric, z2, phi, gradient):
+    """Gradients scaled to `factor` times the size up to which the degree is enough: docs/theory.md, 5.2, 5.3, 5.5."""
+    _, w, _, mod_d, _, tr = reference.parts(gradient)
+    size, excess = reference.magnitude(fabric), np.abs(z2 - c["Zc"])
+    chi = -(c["c2"] + np.sqrt(c["c2"]**2 - 8 * c["c1"] * c["c3"])) / (2 * c["c3"])
+    smooth = (-c["c2"] + np.sqrt(-2 * c["c1"] * c["c3"]) + 2 * (c["c3"] * size + c["d2"])) * mod_d \
+        + 2 * reference.magnitude(w)
+    jamming = (-c["d1"] * (2 * size - chi) + c["d2"] * excess) * mod_d + np.abs(c["d3"] * tr)
+    rate = np.max([1.5 * smooth, 0.8 * jamming / excess, -1.6 * c["c1"] * mod_d / size,
+                   np.where(phi > c["phic"], 1.6 * np.abs(tr / np.log(phi / c["phic"])), 0)], axis=0)
+    ratio = mod_d / c["elastic_strain"]
+    bound = ratio * rate**2 / 6 if degree == 1 else ratio * rate**3 * (ratio + rate) / 120
+    return reference.scale(factor * (1e-12 / bound) ** (1 / (2 * degree + 1)), gradient)
+
+
+@pytest.mark.parametrize("contact", ["hookean", "hertzian"])
+@pytest.mark.parametrize("closure", ["basic", "n2", "full", "kinematic"])
+@pytest.mark.parametrize("degree", [1, 2])
+def test_error_stays_below_1e_12_around_the_increments_from_which_a_higher_degree_is_taken(degree, closure, contact):
+    rng = np.random.default_rng(12)
+    for elastic_strain, margin, spin, factor in itertools.product((0.1, 0.003), (1e-4, 0.005), (1.0, 30.0), (0.99, 2.0, 4.0)):
+        c = reference.constants(0.5, closure) | {"mu": 0.5, "elastic_strain": elastic_strain}
+        fabric, z2, phi, gradient = reference.random_increments(rng, 20, 0.5, 1e-4, spin=spin, margin=margin, volume=2.0)
+        fabric = reference.scale(rng.uniform(0.001, 0.044, 20) / reference.magnitude(fabric), fabric)
+        phi[::3] = c["phic"] - 0.01
+        gradient = scaled_to_degree(degree, factor, c, fabric, z2, phi, gradient)
+        deviator = reference.scale(1e-3 * rng.random(20), fabric / 0.04)
+        found = errors_of(c, fabric, z2, phi, gradient, deviator, closure, contact)
+        assert found.max() < 1e-12, (elastic_strain, margin, spin, factor, found)

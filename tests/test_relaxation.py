@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ["fortran/base/kinds.f90", "fortran/exact/relaxation.f90", "tests/fortran/relaxation_weights.f90"]
-PLACES = np.append((1 - np.polynomial.legendre.leggauss(4)[0]) / 2, 0.0)      # u = 1 - t of the Gauss points and the end
+SOURCES = [*(f"fortran/{name}.f90" for name in ("base/kinds", "base/quadrature", "exact/relaxation")),
+           "tests/fortran/relaxation_weights.f90"]
+LOBATTO = [1.0, 0.0, 0.5, 0.5 + (3 / 28) ** 0.5, 0.5 - (3 / 28) ** 0.5]         # u = 1 - t of the places, those of degree n first
+CROWDED = [1.0, 0.0, 0.07, 0.31, 0.71]
 RATIOS = np.geomspace(1e-3, 1e3, 301)
 ERROR = 1e-13                # of the largest weight: the round-off of five distinct places
 
@@ -40,17 +42,19 @@ def lagrange(i, places):
 
 
 @pytest.mark.release_only
-def test_weights_are_at_round_off_for_every_ratio(tmp_path):
+@pytest.mark.parametrize(("degree", "places"), [(1, LOBATTO), (2, LOBATTO), (4, LOBATTO), (4, CROWDED)])
+def test_weights_are_at_round_off_for_every_ratio(tmp_path, degree, places):
     build = ["gfortran", "-O2", *(ROOT / source for source in SOURCES), "-o", "weights"]
     subprocess.run([str(word) for word in build], cwd=tmp_path, check=True)
-    given = "\n".join([" ".join(map(repr, PLACES.tolist())), *map(repr, RATIOS.tolist())])
+    given = "\n".join([" ".join(map(repr, [degree, *places])), *map(repr, RATIOS.tolist())])
     printed = subprocess.run([tmp_path / "weights"], input=given, capture_output=True, text=True, check=True).stdout
     found = np.array(printed.split(), float).reshape(-1, 5)
     with localcontext() as context:
         context.prec = 80
-        places = [Decimal(place) for place in PLACES.tolist()]
-        polynomials = [lagrange(i, places) for i in range(5)]
+        used = [Decimal(place) for place in places[:degree + 1]]
+        polynomials = [lagrange(i, used) for i in range(degree + 1)]
         expected = np.array([[float(sum(c * m for c, m in zip(polynomial, moments(Decimal(ratio))))) for polynomial in polynomials]
                              for ratio in RATIOS.tolist()])
-    errors = np.abs(found - expected).max(1) / np.abs(expected).max(1)
+    errors = np.abs(found[:, :degree + 1] - expected).max(1) / np.abs(expected).max(1)
     assert errors.max() < ERROR, RATIOS[errors.argmax()]
+    assert not found[:, degree + 1:].any()

@@ -63,13 +63,16 @@ def test_tangent_of_large_increments_in_substeps(rng, mu):
     check(material, states[size > 1e-2], gradient[size > 1e-2], 1e-3, 1e-8)
 
 
+# the model's stress by polynomials of degree 1, 2 and 4, and with a steep kernel; small increments leave differences more round-off
+@pytest.mark.parametrize(("elastic_strain", "largest", "share", "tolerance"), [
+    (0.01, 1e-6, 0.1, 1e-6), (0.01, 3e-5, 0.1, 1e-7), (0.01, 0.01, 0.01, 1e-8), (1e-4, 2e-3, 0.01, 1e-8)])
 @pytest.mark.parametrize("closure", CLOSURES)
-def test_tangent_with_an_elastic_strain(rng, closure):
-    material = Material(0.5, closure, elastic_strain=0.01)
-    states, gradient = random_states(rng, material, 500, 0.02, excess=(0.8, 1.2))
+def test_tangent_with_an_elastic_strain(rng, closure, elastic_strain, largest, share, tolerance):
+    material = Material(0.5, closure, elastic_strain=elastic_strain)
+    states, gradient = random_states(rng, material, 500, 2 * largest, excess=(0.8, 1.2))
     size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
-    good = (size > 1e-3) & (tensors.magnitude(states["fabric"]) > 0.02)          # away from the kink at A = 0
-    check(material, states[good], gradient[good], 0.01, 1e-8)
+    good = (size > 0.3 * largest) & (tensors.magnitude(states["fabric"]) > 0.02)          # away from the kink at A = 0
+    check(material, states[good], gradient[good], share, tolerance)
 
 
 @pytest.mark.parametrize("elastic_strain", [0.0, 0.01])

@@ -34,10 +34,16 @@ PRODUCT = PRODUCT + PRODUCT.transpose(0, 2, 1)
 VOIGT = np.array([[unit[axes] for unit in BASIS] for axes in AXES])           # six components of a deviator
 IDENTITY = np.array([1, 1, 1, 0, 0, 0])
 
-# 3.4: Gauss points on [0, 1]; INTEGRAL[i, m] integrates the i-th Lagrange polynomial up to the m-th point, the last up to 1
+# 3.4: Gauss points on [0, 1]; 4.2: places of polynomials of degree 1, 2, 4, and of those with a steep kernel
 POINTS = (np.polynomial.legendre.leggauss(4)[0] + 1) / 2
-POWERS = np.arange(4)
-INTEGRAL = np.linalg.solve(POINTS**POWERS[:, None], np.append(POINTS, 1) ** (POWERS[:, None] + 1) / (POWERS[:, None] + 1))
+PLACES = {1: [0, 1], 2: [0, 1 / 2, 1], 4: [0, 1 / 2 - math.sqrt(3 / 28), 1 / 2, 1 / 2 + math.sqrt(3 / 28), 1]}
+STEEP, CROWDED = 2, [0, 0.29, 0.69, 0.93, 1]
+
+
+def integrals(places):
+    """3.4: [i, m], the i-th Lagrange polynomial of the Gauss points integrated up to the m-th place."""
+    powers = np.arange(4)[:, None]
+    return np.linalg.solve(POINTS**powers, np.array(places) ** (powers + 1) / (powers + 1))
 
 
 def size(X):
@@ -90,7 +96,7 @@ class Law:
         modulus = c["kappa"] if self.critical else size(A)
         factor = c["a1"] + c["a2"] * modulus + c["g"] * tr_hat
         outer = 1.5 * math.sqrt(factor) * z if self.hertzian else 1
-        by_A = 0 * A if self.critical else outer * z**2 * c["a2"] * A / (2 * modulus)
+        by_A = 0 * A if self.critical else outer * z**2 * c["a2"] * A / (2 * max(modulus, 1e-300))
         return (factor * z**2) ** (1.5 if self.hertzian else 1), by_A, 2 * outer * factor * z, outer * z**2 * c["g"]
 
     def deviator_over_pressure(self, A, S_hat):
@@ -105,21 +111,24 @@ class Law:
 
 
 class Substep:
-    """5.6: one substep, a share of the increment; forward, and (7) backward."""
+    """5.7: one substep, a share of the increment; forward, and (7) backward. Arrays by place begin at the start."""
 
-    def __init__(self, law, inc, share, A, excess, phi, dev):
+    def __init__(self, law, inc, share, A, excess, phi, dev, degree=4):
         c, self.law, self.inc, self.share = law.c, law, inc, share
         self.mod_D, self.tr_D, self.S, self.w = share * inc["mod_D"], share * inc["tr_D"], share * inc["S"], share * inc["w"]
         tau = [math.sqrt(max(math.log(phi / c["phic"]) - t * self.tr_D, 0)) for t in (0, 1)]            # 3.3
         tau = tau if max(tau) > 0 else [1, 1]
-        tau_points = tau[0] + POINTS * (tau[1] - tau[0])
-        self.t = np.append(POINTS * (tau[0] + tau_points) / sum(tau), 1)
-        self.dt = 2 * tau_points / sum(tau)
+        steep = self.mod_D >= STEEP * c["elastic_strain"] > 0
+        places = np.array(CROWDED if steep else PLACES[degree])
+        self.t_nodes, self.t = (xi * (2 * tau[0] + xi * (tau[1] - tau[0])) / sum(tau) for xi in (POINTS, places))
+        self.dt = 2 * (tau[0] + POINTS * (tau[1] - tau[0])) / sum(tau)
+        self.integrals = integrals(places)
         self.phi = phi * np.exp(-self.tr_D * self.t)                                                     # 3.1
-        self.f, self.f_slope = np.array([law.excess_target(value) for value in self.phi]).T
         if law.critical:                                                                                # 1.5
-            self.A, self.excess = np.tile(c["lambda"] * inc["S_hat"], (5, 1)), self.f
+            self.excess, self.f_slope = np.array([law.excess_target(value) for value in self.phi]).T
+            self.A = np.tile(c["lambda"] * inc["S_hat"], (len(places), 1))
         else:
+            self.f, self.f_slope = np.array([law.excess_target(phi * math.exp(-self.tr_D * t)) for t in self.t_nodes]).T
             self.solve_microstructure(c, A, excess)
         stress = [law.pressure(A, z, inc["tr_hat"]) for A, z in zip(self.A, self.excess)]
         self.p, self.p_by_A, self.p_by_excess, self.p_by_tr = (np.array(part) for part in zip(*stress))
@@ -144,21 +153,23 @@ class Substep:
             self.series.append(matrix @ self.series[-1] / k)
         self.series, k = np.array(self.series), np.arange(ORDER + 1)
         self.powers = self.t[:, None] ** k                                                              # [m, k]
-        self.powers_slope = k * self.t[:, None] ** np.maximum(k - 1, 0)
         solution = self.powers @ self.series
         self.y, self.A = solution[:, 5], solution[:, :5] / solution[:, 5:]
-        self.A_S = -(self.powers_slope @ self.series[:, 5]) / (c["c3"] * self.y)                         # 2.6
+        self.powers_nodes = self.t_nodes[:, None] ** k                                                  # [i, k]
+        self.powers_slope = k * self.t_nodes[:, None] ** np.maximum(k - 1, 0)
+        self.y_nodes = self.powers_nodes @ self.series[:, 5]
+        self.A_S = -(self.powers_slope @ self.series[:, 5]) / (c["c3"] * self.y_nodes)                   # 2.6
         decay = c["d2"] * self.mod_D                                                                    # 3.2
         forcing = c["d1"] * (self.A_S - c["chi"] * size(self.S)) + decay * self.f + c["d3"] * self.tr_D
-        self.growth = np.exp(decay * self.t)
-        self.integrand = self.growth[:4] * self.dt * forcing[:4]
-        self.excess = (excess + self.integrand @ INTEGRAL) / self.growth
+        self.growth, self.decay = np.exp(decay * self.t_nodes), np.exp(-decay * self.t)
+        self.integrand = self.growth * self.dt * forcing
+        self.excess = (excess + self.integrand @ self.integrals) * self.decay
 
     def adjoint(self, f):
         """7.4: adjoints f of the six functions at the end become those at the start."""
         c, share = self.law.c, self.share
         f["tr_D"] = f["tr_D"] - share * f["log_phi"]
-        A, excess = np.zeros((6, 5, 5)), np.zeros((6, 5))                                               # [function, node, ...]
+        A, excess = np.zeros((6, len(self.t), 5)), np.zeros((6, len(self.t)))                           # [function, place, ...]
         A[:, -1], excess[:, -1] = f["A"], f["excess"]
         if c["elastic_strain"] > 0:
             self.adjoint_relaxation(c, f, A, excess)
@@ -175,7 +186,7 @@ class Substep:
         """7.5"""
         dev, second, third = f["dev"], [], []
         places, x = np.append(self.u, 1), np.vstack([self.weights[:, None] * self.rotated, self.old])    # the last: from the start
-        for m in range(5):
+        for m in range(len(self.t)):
             q = self.weights[m] * dev @ self.R[m]
             by_p = q @ self.n[m]
             A[:, m] += self.p[m] * q @ self.n_by_A[m] + np.outer(by_p, self.p_by_A[m])
@@ -194,20 +205,20 @@ class Substep:
 
     def adjoint_microstructure(self, c, f, A, excess):
         share, k = self.share, np.arange(ORDER + 1)
-        kernel = INTEGRAL * (self.growth[:4] * self.dt)[:, None] / self.growth                           # 7.6: [i, m]
-        f["excess"] = excess @ (1 / self.growth)
+        kernel = self.integrals * (self.growth * self.dt)[:, None] * self.decay                          # 7.6: [i, m]
+        f["excess"] = excess @ self.decay
         f["mod_S"] = f["mod_S"] - c["d1"] * c["chi"] * share * excess @ kernel.sum(0)
-        by_mod_D = (INTEGRAL / self.growth).T @ (self.t[:4] * self.integrand) + kernel.T @ self.f[:4] - self.t * self.excess
+        by_mod_D = (self.integrals * self.decay).T @ (self.t_nodes * self.integrand) + kernel.T @ self.f - self.t * self.excess
         f["mod_D"] = f["mod_D"] + c["d2"] * share * excess @ by_mod_D
-        by_log_phi = c["d2"] * self.mod_D * kernel * self.f_slope[:4, None]
+        by_log_phi = c["d2"] * self.mod_D * kernel * self.f_slope[:, None]
         f["log_phi"] = f["log_phi"] + excess @ by_log_phi.sum(0)
-        f["tr_D"] = f["tr_D"] + share * excess @ (c["d3"] * kernel.sum(0) - self.t[:4] @ by_log_phi)
-        A_S_by_y = -(self.powers_slope / c["c3"] + self.powers * self.A_S[:, None]) / self.y[:, None]    # [i, k]
+        f["tr_D"] = f["tr_D"] + share * excess @ (c["d3"] * kernel.sum(0) - self.t_nodes @ by_log_phi)
+        A_S_by_y = -(self.powers_slope / c["c3"] + self.powers_nodes * self.A_S[:, None]) / self.y_nodes[:, None]    # [i, k]
         by_B = A / self.y[:, None]                                                                      # 7.7
         by_y = -np.einsum("fma,ma->fm", by_B, self.A)
         g = np.zeros((6, ORDER + 1, 6))                                                                 # [function, k, (B, y)]
         g[:, :, :5] = np.einsum("mk,fma->fka", self.powers, by_B)
-        g[:, :, 5] = by_y @ self.powers + c["d1"] * excess @ kernel.T @ A_S_by_y[:4]
+        g[:, :, 5] = by_y @ self.powers + c["d1"] * excess @ kernel.T @ A_S_by_y
         q = g[:, ORDER]
         for k in range(ORDER, 0, -1):
             B, y = self.series[k - 1, :5], self.series[k - 1, 5]

@@ -8,7 +8,7 @@ module granumat_coordination
   use granumat_kinds, only: dp, LANES
   use granumat_law, only: coordination_rate, excess_target
   use granumat_parameters, only: material_parameters
-  use granumat_quadrature, only: INTEGRAL, N_NODES, NODE, exponential
+  use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, NODE, exponential
   implicit none (type, external)
   private
   public :: quadrature_nodes, integrate_coordination
@@ -16,10 +16,11 @@ module granumat_coordination
 contains
 
   !> Gauss points in tau over 0 <= t <= 1, while e = ln(phi/phic) goes from e_start to e_end, both of one sign: t there, and dt/dxi
-  !! with xi from 0 to 1 as tau goes from start to end.
-  pure subroutine quadrature_nodes(e_start, e_end, t, dt)
-    real(dp), intent(in) :: e_start(LANES), e_end(LANES)
-    real(dp), intent(out) :: t(LANES, N_NODES), dt(LANES, N_NODES)
+  !! with xi from 0 to 1 as tau goes from start to end; and t at the places up to the last one wanted.
+  pure subroutine quadrature_nodes(e_start, e_end, places, last, t, dt, t_place)
+    real(dp), intent(in) :: e_start(LANES), e_end(LANES), places(LANES, 0:MAX_DEGREE)
+    integer, intent(in) :: last
+    real(dp), intent(out) :: t(LANES, N_NODES), dt(LANES, N_NODES), t_place(LANES, 0:MAX_DEGREE)
     real(dp), dimension(LANES) :: tau_start, tau_end, tau, inverse
     integer :: i
 
@@ -35,40 +36,46 @@ contains
       t(:, i) = NODE(i) * (tau_start + tau) * inverse
       dt(:, i) = 2 * tau * inverse
     end do
+    t_place(:, AT_START) = 0
+    t_place(:, AT_END) = 1
+    do i = AT_END + 1, last
+      tau = tau_start + places(:, i) * (tau_end - tau_start)
+      t_place(:, i) = places(:, i) * (tau_start + tau) * inverse
+    end do
   end subroutine quadrature_nodes
 
-  !> Z2 - Zc at the end, the last of excess_nodes, and if wanted at the nodes, from its value at t = 0.
-  pure subroutine integrate_coordination(par, excess, A_S, mod_S, mod_D, tr_D, phi, t, dt, at_nodes, &
-      growth, integrand, excess_nodes)
+  !> Z2 - Zc at the end and at the places inside up to the last one wanted, from its value at t = 0.
+  pure subroutine integrate_coordination(par, A_S, mod_S, mod_D, tr_D, phi, t, dt, integrals, t_place, last, &
+      growth, integrand, decay, excess)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: excess(LANES)                             ! Z2 - Zc at t = 0
     real(dp), intent(in) :: A_S(LANES, N_NODES)                       ! A : S at the nodes
     real(dp), intent(in), dimension(LANES) :: mod_S, mod_D, tr_D      ! |S|, |D|, tr D of the increment
     real(dp), intent(in) :: phi(LANES, N_NODES)                       ! phi at the nodes
     real(dp), intent(in) :: t(LANES, N_NODES), dt(LANES, N_NODES)     ! of quadrature_nodes
-    logical, intent(in) :: at_nodes
+    real(dp), intent(in) :: integrals(LANES, N_NODES, AT_END:MAX_DEGREE), t_place(LANES, 0:MAX_DEGREE)
+    integer, intent(in) :: last
     real(dp), intent(out) :: growth(LANES, N_NODES)                   ! exp(d2 |D| t)
     real(dp), intent(out) :: integrand(LANES, N_NODES)                ! growth times forcing times dt/dxi
-    real(dp), intent(out) :: excess_nodes(LANES, N_NODES + 1)
-    real(dp) :: excess_end(LANES), decay(LANES)
-    integer :: i, j
+    real(dp), intent(out) :: decay(LANES, AT_END:MAX_DEGREE)          ! exp(-d2 |D| t) at the places
+    real(dp), intent(inout) :: excess(LANES, 0:MAX_DEGREE)            ! Z2 - Zc at the places, given at the start
+    real(dp) :: rate(LANES)
+    integer :: i, m
 
-    decay = par%d2 * mod_D
-    excess_end = excess
+    rate = par%d2 * mod_D
+    ! Where LANES = 1, GCC would otherwise take the nodes in pairs and raise each pair to beta2, which beta2 = 1/2 need not.
+    !GCC$ unroll 4
     do i = 1, N_NODES
-      growth(:, i) = exponential(decay * t(:, i))
+      growth(:, i) = exponential(rate * t(:, i))
       integrand(:, i) = growth(:, i) * dt(:, i) &
         * coordination_rate(par, A_S(:, i), mod_S, mod_D, excess_target(par, phi(:, i) - par%phic), tr_D)
-      excess_end = excess_end + INTEGRAL(i, N_NODES + 1) * integrand(:, i)
     end do
-    excess_nodes(:, N_NODES + 1) = excess_end * exponential(-decay)
-    if (.not. at_nodes) return
-    do i = 1, N_NODES
-      excess_nodes(:, i) = excess
-      do j = 1, N_NODES
-        excess_nodes(:, i) = excess_nodes(:, i) + INTEGRAL(j, i) * integrand(:, j)
+    do m = AT_END, last
+      decay(:, m) = exponential(-rate * t_place(:, m))
+      excess(:, m) = excess(:, AT_START)
+      do i = 1, N_NODES
+        excess(:, m) = excess(:, m) + integrals(:, i, m) * integrand(:, i)
       end do
-      excess_nodes(:, i) = excess_nodes(:, i) / growth(:, i)
+      excess(:, m) = excess(:, m) * decay(:, m)
     end do
   end subroutine integrate_coordination
 

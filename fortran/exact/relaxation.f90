@@ -6,6 +6,7 @@
 !! So every ratio is stable, and the limit e_r -> 0 is sigma'_model itself.
 module granumat_relaxation
   use granumat_kinds, only: dp, LANES
+  use granumat_quadrature, only: MAX_DEGREE
   implicit none (type, external)
   private
   public :: relaxation_weights, relaxation_weights_slope
@@ -16,44 +17,53 @@ module granumat_relaxation
 contains
 
   !> Weights of sigma'_model at distinct places u = 1 - t.
-  pure function relaxation_weights(ratio, u) result(weights)
-    real(dp), intent(in) :: ratio(LANES)      ! |D|/e_r
-    real(dp), intent(in) :: u(:, :)           ! (LANES, n)
-    real(dp) :: weights(LANES, size(u, 2))
+  pure function relaxation_weights(ratio, decay, u, degree, n) result(weights)
+    real(dp), intent(in) :: ratio(LANES), decay(LANES)       ! |D|/e_r and exp(-ratio)
+    real(dp), intent(in) :: u(LANES, 0:MAX_DEGREE)
+    real(dp), intent(in) :: degree(LANES)                    ! of the polynomial; places after so many have no weight
+    integer, intent(in) :: n                                 ! the highest degree
+    real(dp) :: weights(LANES, 0:MAX_DEGREE)
 
-    weights = moments(ratio, size(u, 2))
-    call solve_moments(u, weights)
+    weights = moments(ratio, decay)
+    call solve_moments(u, degree, n, weights)
   end function relaxation_weights
 
-  !> The derivative of the weights by the ratio, from that of the moments: exp(-ratio) - (j - 1) moment_j/ratio.
-  pure function relaxation_weights_slope(ratio, u) result(slope)
-    real(dp), intent(in) :: ratio(LANES)
-    real(dp), intent(in) :: u(:, :)
-    real(dp) :: slope(LANES, size(u, 2))
+  !> The derivative of the weights by the ratio, from that of the moments: exp(-ratio) - j moment_j/ratio.
+  pure function relaxation_weights_slope(ratio, decay, u, degree, n) result(slope)
+    real(dp), intent(in) :: ratio(LANES), decay(LANES), u(LANES, 0:MAX_DEGREE), degree(LANES)
+    integer, intent(in) :: n
+    real(dp) :: slope(LANES, 0:MAX_DEGREE), inverse(LANES)
     integer :: j
 
-    slope = moments(ratio, size(u, 2))
-    do j = 1, size(u, 2)
-      slope(:, j) = exp(-ratio) - (j - 1) * slope(:, j) / max(ratio, tiny(1.0_dp))
+    inverse = 1 / max(ratio, tiny(1.0_dp))
+    slope = moments(ratio, decay)
+    do j = 0, MAX_DEGREE
+      slope(:, j) = decay - j * slope(:, j) * inverse
     end do
-    call solve_moments(u, slope)
+    call solve_moments(u, degree, n, slope)
   end function relaxation_weights_slope
 
-  !> Solves the Vandermonde system sum_i w_i u_i^(j-1) = moment_j in place: A. Bjorck, V. Pereyra, Math. Comput. 24 (1970) 893-903.
-  pure subroutine solve_moments(u, weights)
-    real(dp), intent(in) :: u(:, :)
-    real(dp), intent(inout) :: weights(:, :)
-    integer :: n, i, k
+  !> Solves the Vandermonde system sum_i w_i u_i^j = moment_j in place: A. Bjorck, V. Pereyra, Math. Comput. 24 (1970) 893-903.
+  !!
+  !! The first stage makes moments of Newton's polynomials. Those above a lane's degree are left out, and the weights of the places
+  !! that they would need come out as 0.
+  pure subroutine solve_moments(u, degree, n, weights)
+    real(dp), intent(in) :: u(LANES, 0:MAX_DEGREE), degree(LANES)
+    integer, intent(in) :: n
+    real(dp), intent(inout) :: weights(LANES, 0:MAX_DEGREE)
+    integer :: i, k
 
-    n = size(u, 2)
-    do k = 1, n - 1
+    do k = 0, n - 1
       do i = n, k + 1, -1
         weights(:, i) = weights(:, i) - u(:, k) * weights(:, i - 1)
       end do
     end do
-    do k = n - 1, 1, -1
+    do i = 2, n
+      weights(:, i) = merge(weights(:, i), 0.0_dp, degree >= i)
+    end do
+    do k = n - 1, 0, -1
       do i = k + 1, n
-        weights(:, i) = weights(:, i) / (u(:, i) - u(:, i - k))
+        weights(:, i) = weights(:, i) / (u(:, i) - u(:, i - k - 1))
       end do
       do i = k, n - 1
         weights(:, i) = weights(:, i) - weights(:, i + 1)
@@ -61,36 +71,34 @@ contains
     end do
   end subroutine solve_moments
 
-  !> The moments of the kernel: integral of ratio exp(-ratio u) u^(j-1) over 0 <= u <= 1, j = 1 ... n.
+  !> The moments of the kernel: integral of ratio exp(-ratio u) u^j over 0 <= u <= 1, j = 0 ... MAX_DEGREE.
   !!
   !! Up to FORWARD_RECURRENCE_FROM the last moment comes from its series, all terms of which are positive, and the others by the
   !! recurrence backward, which is stable there; above it the recurrence runs forward.
-  pure function moments(ratio, n) result(moment)
-    real(dp), intent(in) :: ratio(LANES)
-    integer, intent(in) :: n
-    real(dp) :: moment(LANES, n), small(LANES), large(LANES), edge(LANES), term(LANES), forward(LANES)
+  pure function moments(ratio, decay) result(moment)
+    real(dp), intent(in) :: ratio(LANES), decay(LANES)
+    real(dp) :: moment(LANES, 0:MAX_DEGREE), small(LANES), large(LANES), edge(LANES), term(LANES), forward(LANES)
     integer :: j
 
     small = min(ratio, FORWARD_RECURRENCE_FROM)
-    edge = exp(-small)
-    term = edge * small / n
-    moment(:, n) = term
-    j = n
-    do while (any(term > MOMENT_TOLERANCE * moment(:, n)))
+    edge = max(decay, exp(-FORWARD_RECURRENCE_FROM))
+    term = edge * small / (MAX_DEGREE + 1)
+    moment(:, MAX_DEGREE) = term
+    j = MAX_DEGREE + 1
+    do while (any(term > MOMENT_TOLERANCE * moment(:, MAX_DEGREE)))
       j = j + 1
       term = term * small * (1.0_dp / j)
-      moment(:, n) = moment(:, n) + term
+      moment(:, MAX_DEGREE) = moment(:, MAX_DEGREE) + term
     end do
-    do j = n, 2, -1
-      moment(:, j - 1) = small * (1.0_dp / (j - 1)) * (moment(:, j) + edge)
+    do j = MAX_DEGREE, 1, -1
+      moment(:, j - 1) = small * (1.0_dp / j) * (moment(:, j) + edge)
     end do
     if (all(ratio <= FORWARD_RECURRENCE_FROM)) return
 
     large = max(ratio, FORWARD_RECURRENCE_FROM)
-    edge = exp(-large)
-    forward = 1 - edge
-    do j = 1, n
-      if (j > 1) forward = (j - 1) / large * forward - edge
+    forward = 1 - decay
+    do j = 0, MAX_DEGREE
+      if (j > 0) forward = j / large * forward - decay
       moment(:, j) = merge(forward, moment(:, j), ratio > FORWARD_RECURRENCE_FROM)
     end do
   end function moments

@@ -9,7 +9,7 @@ module granumat_substeps
   use granumat_increment, only: increment
   use granumat_law, only: critical_state
   use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_quadrature, only: N_NODES, exponential
+  use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, choose_places, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
   use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
@@ -19,11 +19,14 @@ module granumat_substeps
   private
   public :: integrate, take_substep
 
-  integer, parameter, public :: AT_END = N_NODES + 1     ! index of the end of a substep, after its quadrature nodes
   integer, parameter, public :: MAX_SUBSTEPS = 10000
 
   ! rate bound times substep: with it the four Gauss points err by 1e-13 (tests/test_exact.py)
   real(dp), parameter :: SUBSTEP_RATE = 0.4_dp
+  ! bound of the error, over the pressure, of the model's stress interpolated by a line or a parabola instead of MAX_DEGREE
+  real(dp), parameter :: INTERPOLATION_ERROR = 1.0e-12_dp
+  real(dp), parameter :: LINE = 1 / 6.0_dp, PARABOLA = 1 / 120.0_dp       ! factors of the bound
+  real(dp), parameter :: STEEP_FROM = 2                  ! |D|/e_r of a substep from which the places crowd at its end
   ! with e_r > 0 substeps are smaller by this: the interpolation in the kernel has half the order of Gauss's rule
   real(dp), parameter :: RELAXATION_REFINEMENT = 1.5_dp
   ! in the critical-state closure only spin and volume strain change the model's stress, and these rates are tight
@@ -46,20 +49,26 @@ module granumat_substeps
   type, public :: substep_start
     type(internal_state) :: x
     real(dp) :: share(LANES), log_phi_end(LANES)
+    real(dp) :: degree(LANES)          !! of the polynomial that interpolates the model's stress with e_r > 0
   end type substep_start
 
-  !> A substep, 0 <= t <= 1, with everything that its adjoint needs; quadrature nodes come first, the end last.
+  !> A substep, 0 <= t <= 1, with everything that its adjoint needs: at the quadrature nodes, and at the places of choose_places, of
+  !! which e_r = 0 needs the end, and e_r > 0 all up to the last one.
   type, public :: substep_solution
-    real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), phi_end(LANES), S(LANES, 5), w(LANES, 3)
+    real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), S(LANES, 5), w(LANES, 3)
     real(dp), dimension(LANES, N_NODES) :: t, dt, phi, y, A_S, growth, integrand
-    real(dp) :: y_end(LANES)
-    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)       !! at the nodes only with e_r > 0
-    ! With e_r > 0. Index 0 is the deviator at the start.
-    real(dp), dimension(LANES, 5, 0:AT_END) :: rotated           !! deviators rotated to the end; 0: and decayed
-    real(dp) :: p(LANES, AT_END), dev_over_p(LANES, 5, AT_END)   !! the model's pressure, and its deviator over pressure
-    real(dp) :: weights(LANES, 0:AT_END)                         !! of granumat_relaxation; 0: exp(-ratio)
-    real(dp) :: R(LANES, 5, 5, 0:N_NODES)                        !! rotations of deviators to the end
+    real(dp), dimension(LANES, 0:MAX_DEGREE) :: t_place, phi_place, excess
+    real(dp) :: integrals(LANES, N_NODES, AT_END:MAX_DEGREE)     !! of choose_places
+    real(dp), dimension(LANES, AT_END:MAX_DEGREE) :: y_place, decay_place    !! decay_place = exp(-d2 |D| t)
+    real(dp) :: A(LANES, 5, 0:MAX_DEGREE)
+    ! with e_r > 0
+    real(dp) :: degree(LANES), decay(LANES)                                  !! decay = exp(-|D|/e_r)
+    real(dp) :: p(LANES, 0:MAX_DEGREE), dev_over_p(LANES, 5, 0:MAX_DEGREE)   !! the model's pressure, and its deviator over pressure
+    real(dp) :: weights(LANES, 0:MAX_DEGREE)                                 !! of granumat_relaxation
+    real(dp) :: R(LANES, 5, 5, 0:MAX_DEGREE)                                 !! rotations of deviators to the end
+    real(dp) :: rotated(LANES, 5, 0:MAX_DEGREE), decayed(LANES, 5)           !! the model's deviators and the old one there
     type(fabric_solution) :: fabric
+    integer :: last
   end type substep_solution
 
   !> The substeps of an increment: the last one solved, of the others, where all are wanted, only how they start.
@@ -88,7 +97,9 @@ contains
       call critical_state(par, inc%S_hat, phi_end, x%A, x%excess)
       x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
       record%solution%share = 1
-      record%solution%phi_end = phi_end
+      record%solution%t_place(:, AT_END) = 1
+      record%solution%phi_place(:, AT_END) = phi_end
+      record%solution%last = AT_END
       record%steps = 1
       return
     end if
@@ -108,7 +119,8 @@ contains
     type(internal_state), intent(inout) :: x
     integer, intent(inout) :: status(LANES)
     type(substep_record), intent(inout) :: record
-    real(dp), dimension(LANES) :: remainder, next_remainder, rate, steps, log_phi_start, log_phi_next, mod_A
+    real(dp), dimension(LANES) :: remainder, next_remainder, rate, graded_rate, steps, share_next, log_phi_start, log_phi_next
+    real(dp), dimension(LANES) :: mod_A, degree
     integer :: step
 
     mod_A = magnitude(x%A)
@@ -121,11 +133,15 @@ contains
       if (any(mod_A > par%fabric_limit)) then           ! above the limit |A| can grow, and the bound with it
         rate = merge(rate_bound(par, inc, mod_A), rate, mod_A > par%fabric_limit)
       end if
-      steps = remainder * kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end) / SUBSTEP_RATE
+      graded_rate = kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end)
+      steps = remainder * graded_rate / SUBSTEP_RATE
       next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
       log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
-      if (record%all_wanted) call add_start(record, substep_start(x, remainder - next_remainder, log_phi_next))
-      call take_substep(par, inc, remainder - next_remainder, log_phi_next, x, record%solution, status)
+      share_next = remainder - next_remainder
+      degree = 1
+      if (par%elastic_strain > 0) degree = degree_needed(par, share_next * graded_rate, share_next * inc%mod_D)
+      if (record%all_wanted) call add_start(record, substep_start(x, share_next, log_phi_next, degree))
+      call take_substep(par, inc, share_next, log_phi_next, degree, x, record%solution, status)
       remainder = merge(next_remainder, 0.0_dp, status == OK)
       mod_A = magnitude(x%A)
     end do
@@ -200,15 +216,31 @@ contains
     end if
   end function kink_rate_bound
 
+  !> The degree of the polynomial that interpolates the model's stress: the lowest that keeps the error of a substep with e_r > 0
+  !! below INTERPOLATION_ERROR, the highest in a substep of usual size (docs/theory.md, section 5.5).
+  pure function degree_needed(par, rate, mod_D) result(degree)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: rate(LANES)           ! kink_rate_bound times share
+    real(dp), intent(in) :: mod_D(LANES)          ! |D| of the substep
+    real(dp) :: degree(LANES), ratio(LANES)
+
+    ratio = mod_D / par%elastic_strain
+    degree = MAX_DEGREE
+    where (PARABOLA * ratio * rate**3 * (ratio + rate) < INTERPOLATION_ERROR .and. ratio < STEEP_FROM) degree = 2
+    where (LINE * ratio * rate**2 < INTERPOLATION_ERROR) degree = 1
+  end function degree_needed
+
   !> Takes one substep: phi, then the fabric, then the coordination number, then the stress.
-  pure subroutine take_substep(par, inc, share, log_phi_end, x, step, status)
+  pure subroutine take_substep(par, inc, share, log_phi_end, degree, x, step, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: share(LANES)          ! of the increment
     real(dp), intent(in) :: log_phi_end(LANES)    ! ln(phi/phic) at the end
+    real(dp), intent(in) :: degree(LANES)         ! of degree_needed
     type(internal_state), intent(inout) :: x
     type(substep_solution), intent(out) :: step
     integer, intent(inout) :: status(LANES)
+    real(dp) :: places(LANES, 0:MAX_DEGREE)
     integer :: i
 
     step%share = share
@@ -216,21 +248,20 @@ contains
     step%tr_D = share * inc%tr_D
     step%S = times(step%mod_D, inc%S_hat)
     step%w = times_spin(share, inc%spin)
-    call quadrature_nodes(x%log_phi, log_phi_end, step%t, step%dt)
-    do i = 1, N_NODES
-      step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
-    end do
-    x%phi = x%phi * exponential(-step%tr_D)
-    step%phi_end = x%phi
-    x%log_phi = log_phi_end
+    step%degree = degree
+    step%last = nint(maxval(degree))
+    call choose_places(step%mod_D / (STEEP_FROM * max(par%elastic_strain, tiny(1.0_dp))), step%last, places, step%integrals)
+    call quadrature_nodes(x%log_phi, log_phi_end, places, step%last, step%t, step%dt, step%t_place)
     if (par%closure == CRITICAL) then
-      do i = 1, N_NODES
-        call critical_state(par, inc%S_hat, step%phi(:, i), step%A(:, :, i), step%excess(:, i))
+      do i = AT_START, step%last
+        step%phi_place(:, i) = x%phi * exponential(-step%tr_D * step%t_place(:, i))
+        call critical_state(par, inc%S_hat, step%phi_place(:, i), step%A(:, :, i), step%excess(:, i))
       end do
-      call critical_state(par, inc%S_hat, x%phi, step%A(:, :, AT_END), step%excess(:, AT_END))
     else
       call evolve_microstructure(par, x, step, status)
     end if
+    x%phi = x%phi * exponential(-step%tr_D)
+    x%log_phi = log_phi_end
     x%A = step%A(:, :, AT_END)
     x%excess = step%excess(:, AT_END)
     if (par%elastic_strain > 0) then
@@ -246,51 +277,50 @@ contains
     type(internal_state), intent(in) :: x         ! at the start
     type(substep_solution), intent(inout) :: step
     integer, intent(inout) :: status(LANES)
-    real(dp) :: one(LANES)
     integer :: i
 
+    do i = 1, N_NODES
+      step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
+    end do
     call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
     call projections_at(par, step%fabric, step%t, step%y, step%A_S)
-    if (par%elastic_strain > 0) then
-      do i = 1, N_NODES
-        call fabric_at(step%fabric, step%t(:, i), step%A(:, :, i), step%y(:, i))
-      end do
-    end if
-    one = 1
-    call fabric_at(step%fabric, one, step%A(:, :, AT_END), step%y_end)
-    where (status == OK .and. .not. (step%y_end > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
+    step%A(:, :, AT_START) = x%A
+    step%excess(:, AT_START) = x%excess
+    do i = AT_END, step%last
+      call fabric_at(step%fabric, step%t_place(:, i), step%A(:, :, i), step%y_place(:, i))
+    end do
+    where (status == OK .and. .not. (step%y_place(:, AT_END) > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
       status = FABRIC_BLOWS_UP
-    call integrate_coordination(par, x%excess, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
-      par%elastic_strain > 0, step%growth, step%integrand, step%excess)
+    call integrate_coordination(par, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+      step%integrals, step%t_place, step%last, step%growth, step%integrand, step%decay_place, step%excess)
   end subroutine evolve_microstructure
 
-  !> The deviatoric stress after a substep with e_r > 0: what is left of the old one, and the model's at the nodes and the end by
-  !! their weights, all rotated to the end.
+  !> The deviatoric stress after a substep with e_r > 0: what is left of the old one, and the model's at the places by their
+  !! weights, all rotated to the end.
   pure subroutine relax(par, inc, step, dev)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(substep_solution), intent(inout) :: step
     real(dp), intent(inout) :: dev(LANES, 5)
-    real(dp) :: ratio(LANES), u(LANES, AT_END), one(LANES)
+    real(dp) :: ratio(LANES), u(LANES, 0:MAX_DEGREE), one(LANES)
     integer :: i
 
     one = 1
     ratio = step%mod_D / par%elastic_strain
-    u(:, :N_NODES) = 1 - step%t
-    u(:, AT_END) = 0
-    step%weights(:, 0) = exp(-ratio)
-    step%weights(:, 1:) = relaxation_weights(ratio, u)
-    step%R(:, :, :, 0) = rotation_of_deviators(small_rotation(step%w))
-    dev = times(step%weights(:, 0), matrix_times(step%R(:, :, :, 0), dev))
-    step%rotated(:, :, 0) = dev
-    do i = 1, AT_END
+    do i = AT_START, step%last
+      u(:, i) = 1 - step%t_place(:, i)
+    end do
+    step%decay = exp(-ratio)
+    step%weights = relaxation_weights(ratio, step%decay, u, step%degree, step%last)
+    step%R(:, :, :, AT_START) = rotation_of_deviators(small_rotation(step%w))
+    dev = times(step%decay, matrix_times(step%R(:, :, :, AT_START), dev))
+    step%decayed = dev
+    do i = AT_START, step%last
       step%p(:, i) = pressure(par, pressure_factor(par, step%A(:, :, i), inc%tr_direction), step%excess(:, i))
       step%dev_over_p(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
       step%rotated(:, :, i) = times(step%p(:, i), step%dev_over_p(:, :, i))
-      if (i < AT_END) then
-        step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
-        step%rotated(:, :, i) = matrix_times(step%R(:, :, :, i), step%rotated(:, :, i))
-      end if
+      if (i > AT_END) step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
+      if (i /= AT_END) step%rotated(:, :, i) = matrix_times(step%R(:, :, :, i), step%rotated(:, :, i))
       dev = dev + times(step%weights(:, i), step%rotated(:, :, i))
     end do
   end subroutine relax

@@ -12,11 +12,11 @@ module granumat_tangent
   use granumat_increment, only: increment
   use granumat_law, only: excess_target, excess_target_slope
   use granumat_parameters, only: material_parameters, CRITICAL
-  use granumat_quadrature, only: INTEGRAL, N_NODES, exponential
+  use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_status, only: OK
   use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes
-  use granumat_substeps, only: AT_END, internal_state, substep_record, substep_solution, take_substep
+  use granumat_substeps, only: internal_state, substep_record, substep_solution, take_substep
   use granumat_tensors, only: add_identity, commutator_of_spins, contract, magnitude, product_matrix, rotation_series, &
     spin_derivative, times, times_spin, to_voigt, transposed_times
   implicit none (type, external)
@@ -38,18 +38,18 @@ module granumat_tangent
     real(dp), dimension(LANES) :: mod_S, tr_D, mod_D, tr_direction
   end type adjoint
 
-  !> The derivatives of one function by A and Z2 - Zc at the quadrature nodes and the end of a substep.
-  type :: node_adjoint
-    real(dp) :: A(LANES, 5, AT_END), excess(LANES, AT_END)
-  end type node_adjoint
+  !> The derivatives of one function by A and Z2 - Zc at the places in a substep.
+  type :: place_adjoint
+    real(dp) :: A(LANES, 5, 0:MAX_DEGREE), excess(LANES, 0:MAX_DEGREE)
+  end type place_adjoint
 
-  !> What the adjoints of all functions share in a substep, at the nodes (only with e_r > 0) and the end.
+  !> What the adjoints of all functions share in a substep, at the end and, with e_r > 0, at the places inside.
   type :: shared_derivatives
-    real(dp) :: weight(LANES, 0:MAX_TERMS, AT_END)            !! t^k, 0 where a lane needs no such term
-    real(dp) :: by_y(LANES, 0:MAX_TERMS, AT_END)              !! of Z2 - Zc there by y_k of the fabric
-    real(dp), dimension(LANES, AT_END) :: inverse_y           !! 1/y
-    real(dp), dimension(LANES, AT_END) :: by_excess, by_mod_D, by_mod_S, by_tr_D, by_log_phi   !! of Z2 - Zc there
-    integer :: first, terms
+    real(dp) :: weight(LANES, 0:MAX_TERMS, MAX_DEGREE)        !! t^k, 0 where a lane needs no such term
+    real(dp) :: by_y(LANES, 0:MAX_TERMS, MAX_DEGREE)          !! of Z2 - Zc there by y_k of the fabric
+    real(dp), dimension(LANES, MAX_DEGREE) :: inverse_y       !! 1/y
+    real(dp), dimension(LANES, MAX_DEGREE) :: by_mod_D, by_mod_S, by_tr_D, by_log_phi   !! of Z2 - Zc there
+    integer :: terms
   end type shared_derivatives
 
 contains
@@ -71,7 +71,8 @@ contains
       if (i < record%steps) then
         again = record%earlier(i)%x
         status = OK
-        call take_substep(par, inc, record%earlier(i)%share, record%earlier(i)%log_phi_end, again, record%solution, status)
+        call take_substep(par, inc, record%earlier(i)%share, record%earlier(i)%log_phi_end, record%earlier(i)%degree, again, &
+          record%solution, status)
       end if
       call adjoint_substep(par, inc, record%solution, f(:n))
     end do
@@ -136,7 +137,8 @@ contains
     type(substep_solution), intent(in) :: step
     type(adjoint), intent(inout) :: f(:)
     type(shared_derivatives) :: shared
-    type(node_adjoint) :: at(N_ADJOINTS_3D)
+    type(place_adjoint) :: at(N_ADJOINTS_3D)
+    logical :: relaxes
     integer :: i, n
 
     n = size(f)
@@ -148,36 +150,38 @@ contains
     if (par%elastic_strain > 0) call adjoint_relaxation(par, inc, step, f(:n - 1), at(:n - 1))
     if (par%closure == CRITICAL) then
       do i = 1, n
-        call adjoint_critical_state(par, step, merge(1, AT_END, par%elastic_strain > 0 .and. i < n), at(i), f(i))
+        relaxes = par%elastic_strain > 0 .and. i < n
+        call adjoint_critical_state(par, step, merge(AT_START, AT_END, relaxes), merge(step%last, AT_END, relaxes), at(i), f(i))
       end do
     else
       call share_derivatives(par, step, shared)
       do i = 1, n
-        call adjoint_coordination(par, step, shared, merge(shared%first, AT_END, i < n), at(i), f(i))
+        relaxes = par%elastic_strain > 0 .and. i < n
+        call adjoint_coordination(par, step, shared, merge(step%last, AT_END, relaxes), at(i), f(i))
+        if (relaxes) f(i)%A = f(i)%A + at(i)%A(:, :, AT_START)
+        if (relaxes) f(i)%excess = f(i)%excess + at(i)%excess(:, AT_START)
       end do
     end if
   end subroutine adjoint_substep
 
-  !> The derivatives of Z2 - Zc at the nodes and the end, m, which all adjoints share (docs/theory.md, section 7.6), from
-  !!   (Z2 - Zc)_m = decay_m [(Z2 - Zc)_0 + sum_i INTEGRAL(i, m) growth_i dt_i forcing_i],  decay_m = exp(-d2 |D| t_m).
+  !> The derivatives of Z2 - Zc at the end and the places inside, m, which all adjoints share (docs/theory.md, section 7.6), from
+  !!   (Z2 - Zc)_m = decay_m [(Z2 - Zc)_0 + sum_i integrals(i, m) growth_i dt_i forcing_i],  decay_m = exp(-d2 |D| t_m).
   pure subroutine share_derivatives(par, step, shared)
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(out) :: shared
-    real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before
+    real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before, inverse_y
     real(dp), dimension(LANES) :: t, decay, power
     real(dp) :: needed(LANES, 0:MAX_TERMS)               ! 1 where a lane needs the term, else 0
     real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
     integer :: i, k, m
 
-    shared%first = merge(1, AT_END, par%elastic_strain > 0)
     shared%terms = count([(any(step%fabric%bound(:, i) >= ADJOINT_SERIES_TOLERANCE), i = 0, step%fabric%terms - 1)])
     do i = 1, N_NODES
       f(:, i) = excess_target(par, step%phi(:, i) - par%phic)
       f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_target_slope(par, step%phi(:, i) - par%phic)
     end do
-    shared%inverse_y(:, :N_NODES) = 1 / step%y
-    shared%inverse_y(:, AT_END) = 1 / step%y_end
+    inverse_y = 1 / step%y
     before = 1
     needed(:, 0) = 1
     by_y(:, :, 0) = 0
@@ -185,26 +189,24 @@ contains
       needed(:, k) = merge(1.0_dp, 0.0_dp, step%fabric%bound(:, k - 1) >= ADJOINT_SERIES_TOLERANCE)
       do i = 1, N_NODES
         by_y(:, i, k) = -par%d1 * needed(:, k) * before(:, i) * (k / par%c3 + step%t(:, i) * step%A_S(:, i)) &
-          * shared%inverse_y(:, i)
+          * inverse_y(:, i)
         before(:, i) = before(:, i) * step%t(:, i)
       end do
     end do
-    do m = shared%first, AT_END
-      t = 1
-      decay = exponential(-par%d2 * step%mod_D)
-      if (m < AT_END) t = step%t(:, m)
-      if (m < AT_END) decay = 1 / step%growth(:, m)
+    do m = AT_END, step%last
+      t = step%t_place(:, m)
+      decay = step%decay_place(:, m)
+      shared%inverse_y(:, m) = 1 / step%y_place(:, m)
       do i = 1, N_NODES
-        kernel(:, i) = INTEGRAL(i, m) * step%growth(:, i) * step%dt(:, i) * decay
+        kernel(:, i) = step%integrals(:, i, m) * step%growth(:, i) * step%dt(:, i) * decay
       end do
-      shared%by_excess(:, m) = decay
       shared%by_mod_S(:, m) = 0
       shared%by_mod_D(:, m) = -t * step%excess(:, m)
       shared%by_tr_D(:, m) = 0
       shared%by_log_phi(:, m) = 0
       do i = 1, N_NODES
         shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i)
-        shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + INTEGRAL(i, m) * decay * step%t(:, i) * step%integrand(:, i) &
+        shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + step%integrals(:, i, m) * decay * step%t(:, i) * step%integrand(:, i) &
           + kernel(:, i) * f(:, i)
         shared%by_tr_D(:, m) = shared%by_tr_D(:, m) - kernel(:, i) * f_slope(:, i) * step%t(:, i)
         shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
@@ -223,20 +225,20 @@ contains
   end subroutine share_derivatives
 
   !> The adjoints of the coordination number and the fabric: to A and Z2 - Zc at the start.
-  pure subroutine adjoint_coordination(par, step, shared, first, at, f)
+  pure subroutine adjoint_coordination(par, step, shared, last, at, f)
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(in) :: shared
-    integer, intent(in) :: first                         ! of the nodes at which the function depends on A and Z2
-    type(node_adjoint), intent(in) :: at
+    integer, intent(in) :: last                          ! of the places at which the function depends on A and Z2
+    type(place_adjoint), intent(in) :: at
     type(adjoint), intent(inout) :: f
-    real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, AT_END), by_y(LANES, AT_END)
-    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3), total, more
-    integer :: i, j, k, m
+    real(dp) :: g_B(LANES, 5, 0:MAX_TERMS), g_y(LANES, 0:MAX_TERMS), by_B(LANES, 5, MAX_DEGREE), by_y(LANES, MAX_DEGREE)
+    real(dp) :: by_S(LANES, 5), by_decay(LANES), by_spin(LANES, 3)
+    integer :: j, k, m
 
     f%excess = 0
-    do m = first, AT_END
-      f%excess = f%excess + at%excess(:, m) * shared%by_excess(:, m)
+    do m = AT_END, last
+      f%excess = f%excess + at%excess(:, m) * step%decay_place(:, m)
       f%mod_D = f%mod_D + at%excess(:, m) * shared%by_mod_D(:, m)
       f%mod_S = f%mod_S + at%excess(:, m) * shared%by_mod_S(:, m)
       f%tr_D = f%tr_D + at%excess(:, m) * shared%by_tr_D(:, m)
@@ -244,33 +246,20 @@ contains
       by_B(:, :, m) = times(shared%inverse_y(:, m), at%A(:, :, m))
       by_y(:, m) = -contract(by_B(:, :, m), step%A(:, :, m))
     end do
-    if (first == AT_END) then
+    do k = 0, shared%terms
+      g_y(:, k) = shared%weight(:, k, AT_END) * by_y(:, AT_END) + shared%by_y(:, k, AT_END) * at%excess(:, AT_END)
+      do j = 1, 5
+        g_B(:, j, k) = shared%weight(:, k, AT_END) * by_B(:, j, AT_END)
+      end do
+    end do
+    do m = AT_END + 1, last
       do k = 0, shared%terms
-        g_y(:, k) = shared%weight(:, k, AT_END) * by_y(:, AT_END) + shared%by_y(:, k, AT_END) * at%excess(:, AT_END)
+        g_y(:, k) = g_y(:, k) + shared%weight(:, k, m) * by_y(:, m) + shared%by_y(:, k, m) * at%excess(:, m)
         do j = 1, 5
-          g_B(:, j, k) = shared%weight(:, k, AT_END) * by_B(:, j, AT_END)
+          g_B(:, j, k) = g_B(:, j, k) + shared%weight(:, k, m) * by_B(:, j, m)
         end do
       end do
-    else
-      do k = 0, shared%terms
-        do i = 1, LANES
-          total = 0
-          more = 0
-          do m = 1, AT_END
-            total = total + shared%weight(i, k, m) * by_y(i, m)
-            more = more + shared%by_y(i, k, m) * at%excess(i, m)
-          end do
-          g_y(i, k) = total + more
-          do j = 1, 5
-            total = 0
-            do m = 1, AT_END
-              total = total + shared%weight(i, k, m) * by_B(i, j, m)
-            end do
-            g_B(i, j, k) = total
-          end do
-        end do
-      end do
-    end if
+    end do
     call adjoint_fabric(step%fabric, shared%terms, g_B, g_y, f%A, by_S, by_decay, by_spin)
     f%S = f%S + times(step%share, by_S)
     f%mod_D = f%mod_D + par%c2 * step%share * by_decay
@@ -278,50 +267,54 @@ contains
   end subroutine adjoint_coordination
 
   !> The adjoint of the critical-state closure, A = lambda S^ and Z2 = f(phi).
-  pure subroutine adjoint_critical_state(par, step, first, at, f)
+  pure subroutine adjoint_critical_state(par, step, first, last, at, f)
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
-    integer, intent(in) :: first
-    type(node_adjoint), intent(in) :: at
+    integer, intent(in) :: first, last                   ! of the places at which the function depends on A and Z2
+    type(place_adjoint), intent(in) :: at
     type(adjoint), intent(inout) :: f
-    real(dp), dimension(LANES) :: t, phi, by_log_phi
+    real(dp), dimension(LANES) :: phi, by_log_phi
     integer :: m
 
-    do m = first, AT_END
-      t = 1
-      phi = step%phi_end
-      if (m < AT_END) t = step%t(:, m)
-      if (m < AT_END) phi = step%phi(:, m)
+    do m = first, last
+      phi = step%phi_place(:, m)
       by_log_phi = at%excess(:, m) * excess_target_slope(par, phi - par%phic) * phi
       f%log_phi = f%log_phi + by_log_phi
-      f%tr_D = f%tr_D - t * step%share * by_log_phi
+      f%tr_D = f%tr_D - step%t_place(:, m) * step%share * by_log_phi
       f%S_hat = f%S_hat + par%lambda * at%A(:, :, m)
     end do
     f%A = 0
     f%excess = 0
   end subroutine adjoint_critical_state
 
-  !> The adjoint of the relaxing deviator: to the deviator at the start, to the spin and |D|, and to A and Z2 - Zc at the nodes
-  !! and the end through the model's stress there.
+  !> The adjoint of the relaxing deviator: to the deviator at the start, to the spin and |D|, and to A and Z2 - Zc at the
+  !! places through the model's stress there.
   pure subroutine adjoint_relaxation(par, inc, step, f, at)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(substep_solution), intent(in) :: step
     type(adjoint), intent(inout) :: f(:)                  ! components of the deviator
-    type(node_adjoint), intent(inout) :: at(:)
+    type(place_adjoint), intent(inout) :: at(:)
     real(dp) :: by_mod_D(LANES, 5), rotated(LANES, 5, 0:2), twice(LANES, 3), q(LANES, 5), by_p(LANES)
     real(dp), dimension(LANES, 5, 5) :: S_matrix, by_A, by_S_hat
     type(pressure_derivative) :: by
     integer :: i, m
 
     call share_rotations(par, step, by_mod_D, rotated)
+    do i = 1, size(f)
+      f(i)%mod_D = f(i)%mod_D + contract(f(i)%dev, by_mod_D)
+      twice = commutator_of_spins(step%w, spin_derivative(f(i)%dev, rotated(:, :, 2)))
+      f(i)%w = f(i)%w + times_spin(step%share, spin_derivative(f(i)%dev, rotated(:, :, 0)) &
+        + commutator_of_spins(step%w, twice - spin_derivative(f(i)%dev, rotated(:, :, 1))))
+    end do
     S_matrix = product_matrix(inc%S_hat)
-    do m = 1, AT_END
+    do m = step%last, AT_START, -1
       by = pressure_slopes(par, step%A(:, :, m), inc%tr_direction, step%excess(:, m))
       call deviator_slopes(par, step%A(:, :, m), inc%S_hat, S_matrix, step%p(:, m), by_A, by_S_hat)
       do i = 1, size(f)
         q = f(i)%dev
-        if (m < AT_END) q = transposed_times(step%R(:, :, :, m), q)
+        if (m /= AT_END) q = transposed_times(step%R(:, :, :, m), q)
+        if (m == AT_START) f(i)%dev = times(step%decay, q)
         q = times(step%weights(:, m), q)
         by_p = contract(q, step%dev_over_p(:, :, m))
         f(i)%tr_direction = f(i)%tr_direction + by_p * by%trace
@@ -334,13 +327,6 @@ contains
         at(i)%excess(:, m) = by_p
       end do
     end do
-    do i = 1, size(f)
-      f(i)%mod_D = f(i)%mod_D + contract(f(i)%dev, by_mod_D)
-      twice = commutator_of_spins(step%w, spin_derivative(f(i)%dev, rotated(:, :, 2)))
-      f(i)%w = f(i)%w + times_spin(step%share, spin_derivative(f(i)%dev, rotated(:, :, 0)) &
-        + commutator_of_spins(step%w, twice - spin_derivative(f(i)%dev, rotated(:, :, 1))))
-      f(i)%dev = times(step%weights(:, 0), transposed_times(step%R(:, :, :, 0), f(i)%dev))
-    end do
   end subroutine adjoint_relaxation
 
   !> The derivative of the relaxing deviator by |D|, and sums from which follows that by the spin.
@@ -352,18 +338,19 @@ contains
     type(material_parameters), intent(in) :: par
     type(substep_solution), intent(in) :: step
     real(dp), intent(out) :: by_mod_D(LANES, 5), rotated(LANES, 5, 0:2)
-    real(dp) :: u(LANES, AT_END), slopes(LANES, AT_END), second(LANES), third(LANES), weight(LANES)
+    real(dp) :: u(LANES, 0:MAX_DEGREE), slopes(LANES, 0:MAX_DEGREE), second(LANES), third(LANES), weight(LANES)
     integer :: m
 
-    u(:, :N_NODES) = 1 - step%t
-    u(:, AT_END) = 0
-    slopes = relaxation_weights_slope(step%mod_D / par%elastic_strain, u)
+    do m = AT_START, step%last
+      u(:, m) = 1 - step%t_place(:, m)
+    end do
+    slopes = relaxation_weights_slope(step%mod_D / par%elastic_strain, step%decay, u, step%degree, step%last)
     call rotation_series(step%w, second, third)
-    by_mod_D = -step%rotated(:, :, 0)
-    rotated(:, :, 0) = step%rotated(:, :, 0)
-    rotated(:, :, 1) = times(second, step%rotated(:, :, 0))
-    rotated(:, :, 2) = times(third, step%rotated(:, :, 0))
-    do m = 1, AT_END
+    by_mod_D = -step%decayed
+    rotated(:, :, 0) = step%decayed
+    rotated(:, :, 1) = times(second, step%decayed)
+    rotated(:, :, 2) = times(third, step%decayed)
+    do m = AT_START, step%last
       by_mod_D = by_mod_D + times(slopes(:, m), step%rotated(:, :, m))
       call rotation_series(times_spin(u(:, m), step%w), second, third)
       weight = step%weights(:, m) * u(:, m)
