@@ -67,6 +67,7 @@ contains
     real(dp) :: given(N_PROPS), strain(6), spin(3), tangent(LANES, 6, N_COLUMNS), slope(6, 6), basis(6)
     real(dp) :: lanes_R(LANES, 3, 3), R(3, 3), R_T(3, 3)
     integer :: lane_status(LANES), n, j
+    logical :: unloads
 
     n = size(stress)
     call read_properties(props, given, par, status)
@@ -74,13 +75,16 @@ contains
     if (status == OK) call read_increment(nint(given(P_SPIN)), dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
     if (status == OK) call read_state(par, given, stress, statev, old, status)
     if (status == OK) then
+      unloads = par%elastic_strain > 0 .and. all(abs(strain) <= 0)
       call gather([old], x)
+      if (unloads) x%direction = -x%direction
       call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, &
         merge(N_ADJOINTS_PLANE, N_ADJOINTS_3D, n == 4), tangent)
       slope = tangent(1, :, :6)
       status = lane_status(1)
     end if
     if (status == OK) then
+      if (unloads) x_new%direction = -x_new%direction
       call scatter(x_new, new)
       if (.not. statev(S_SENTINEL) > 0) statev(S_WORK) = 0
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
