@@ -23,9 +23,10 @@ GUARD = np.full(4, 0x7FF4_DEAD_BEEF_CAFE, np.uint64).view(float)       # a signa
 EYE = np.eye(3)
 
 
-def properties(mu=0.5, stiffness=1.0, closure=3, contact=0, elastic_strain=0.0, phi=0.60, pressure=0.0, spin=0, calibration=0):
+def properties(mu=0.5, stiffness=1.0, closure=3, contact=0, elastic_strain=0.0, phi=0.60, pressure=0.0, spin=0, calibration=0,
+               order=0):
     """PROPS by name."""
-    return np.array([mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration], float)
+    return np.array([mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration, order], float)
 
 
 class Guarded:
