@@ -8,12 +8,11 @@ module granumat_umat
   use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
     PLANE_STRESS, STRAIN_TOO_LARGE, status_message
-  use granumat_law, only: excess_target, volume_fraction_of
+  use granumat_law, only: excess_target
   use granumat_matrices, only: gradient_logarithm, polar_rotation, rotation_logarithm
-  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, CRITICAL, FIGURE_16, HERTZIAN, &
-    KINEMATIC
+  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, FIGURE_16, HERTZIAN, KINEMATIC
   use granumat_state, only: lane_state, material_state, gather, scatter
-  use granumat_stress, only: evaluate
+  use granumat_starts, only: excess_under, isotropic_state
   use granumat_tangent, only: N_COLUMNS, N_ADJOINTS_3D, N_ADJOINTS_PLANE
   use granumat_tensors, only: product_symmetric, rotate
   use granumat_update, only: update
@@ -72,7 +71,6 @@ module granumat_umat
   real(dp), parameter :: NO_STRAIN = 1.0e-13_dp            ! below it a strain has no direction, only the host's round-off
   real(dp), parameter :: LARGEST_ANGLE = 3.0_dp            ! below pi, where the logarithm of a rotation is not unique
   real(dp), parameter :: LARGEST_STRAIN = 1.0_dp           ! abs(D) of one call: more is a host's bad guess, and takes milliseconds
-  real(dp), parameter :: LARGEST_COORDINATION = 12         ! spheres that fit around one; beyond, the pressure is in other units
 
   ! What a host cannot mend by a smaller increment.
   integer, parameter :: SET_UP(6) = [BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, PLANE_STRESS]
@@ -289,39 +287,23 @@ contains
     statev(S_PHI) = x%volume_fraction
   end subroutine write_state
 
-  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept. In the
-  !! critical-state closure, where Z2 = f(phi), a pressure holds and phi follows from it (A 11).
+  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept.
   pure subroutine start(par, given, stress, x, status)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: given(N_PROPS), stress(:)
     type(material_state), intent(out) :: x
-    integer, intent(inout) :: status
-    type(lane_state) :: lanes_x
-    type(material_state) :: started(1)
-    real(dp) :: p, factor, handed(6), eta(LANES), f(LANES)
+    integer, intent(out) :: status
+    real(dp) :: p, handed(6), f(LANES)
 
     handed = 0
     handed(:size(stress)) = stress / given(P_STIFFNESS)
     p = given(P_PRESSURE) / given(P_STIFFNESS)
     if (.not. abs(p) > 0) p = -sum(handed(:3)) / 3
-    if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
-    if (p < 0) status = BAD_INITIAL_STATE
-    x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=given(P_PHI))
-    if (status /= OK) return
     f = excess_target(par, spread(given(P_PHI) - par%phic, 1, LANES))
-    if (p > 0) then
-      factor = par%a1
-      if (par%closure == CRITICAL) factor = par%a1 + par%a2 * par%kappa
-      f = sqrt(merge(p**(2.0_dp / 3), p, par%contact == HERTZIAN) / factor)
-      if (par%closure == CRITICAL) x%volume_fraction = volume_fraction_of(par, f(1))
-      if (.not. (x%volume_fraction < 1 .and. par%Zc + f(1) <= LARGEST_COORDINATION)) status = BAD_INITIAL_STATE
-      if (status /= OK) return
-    end if
-    x%coordination_number = par%Zc + f(1)
-    call gather([x], lanes_x)
-    call evaluate(par, lanes_x, eta)
-    call scatter(lanes_x, started)
-    x = started(1)
+    if (p > 0) f = excess_under(par, p)
+    call isotropic_state(par, given(P_PHI), f(1), x, status)
+    if (p < 0) status = BAD_INITIAL_STATE
+    if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
     x%stress = x%stress + handed
     x%stress(:3) = x%stress(:3) - sum(handed(:3)) / 3
   end subroutine start
