@@ -73,7 +73,8 @@ module granumat_umat
   real(dp), parameter :: LARGEST_STRAIN = 1.0_dp           ! abs(D) of one call: more is a host's bad guess, and takes milliseconds
 
   ! What a host cannot mend by a smaller increment.
-  integer, parameter :: SET_UP(6) = [BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, PLANE_STRESS]
+  integer, parameter, public :: SET_UP(6) = [BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
+    PLANE_STRESS]
 
 contains
 
@@ -308,20 +309,17 @@ contains
     x%stress(:3) = x%stress(:3) - sum(handed(:3)) / 3
   end subroutine start
 
-  !> Says on unit 6 what is wrong with a job, each fault once. Many hosts do not look at PNEWDT, and would end with a stress that
-  !! never changed. Threads that fail at the same time may both say it.
+  !> Says on unit 6 why a call failed, each reason once. Threads that fail at the same time may both say it.
   subroutine speak(face, status, props, ntens, nstatv)
     character(len=*), intent(in) :: face              ! who speaks
     integer, intent(in) :: status, ntens, nstatv
     real(dp), intent(in) :: props(:)
-    logical, save :: said(size(SET_UP)) = .false.
+    logical, save :: said(STRAIN_TOO_LARGE) = .false.       ! by status, of which this is the last
     logical :: faulty(size(props))
     integer :: i
 
-    i = findloc(SET_UP, status, 1)
-    if (i == 0) return
-    if (said(i)) return
-    said(i) = .true.
+    if (said(status)) return
+    said(status) = .true.
     write (output_unit, "(3a, i0, 2a)") "granumat: ", face, " refuses this call, status ", status, ": ", &
       trim(status_message(status))
     select case (status)
@@ -347,7 +345,7 @@ subroutine umat(stress, statev, ddsdde, sse, spd, scd, rpl, ddsddt, drplde, drpl
     layer, kspt, kstep, kinc)
   use granumat_kinds, only: dp
   use granumat_status, only: OK
-  use granumat_umat, only: advance, speak, CUTBACK
+  use granumat_umat, only: advance, speak, CUTBACK, SET_UP
   implicit none (type, external)
   integer, intent(in) :: ndi, nshr, ntens, nstatv, nprops, noel, npt, layer, kspt, kstep, kinc
   real(dp), intent(inout) :: stress(ntens), statev(nstatv), ddsdde(ntens, ntens)
@@ -361,7 +359,7 @@ subroutine umat(stress, statev, ddsdde, sse, spd, scd, rpl, ddsddt, drplde, drpl
 
   call advance(props, dstran, drot, dfgrd0, dfgrd1, stress, statev, ddsdde, status)
   if (status == OK) return
-  call speak("UMAT", status, props, ntens, nstatv)
+  if (any(status == SET_UP)) call speak("UMAT", status, props, ntens, nstatv)    ! many hosts do not look at PNEWDT
   if (present(pnewdt)) pnewdt = CUTBACK
 end subroutine umat
 

@@ -40,8 +40,8 @@ contains
     sig = sig0
     stvar = stvar0
     call advance(given, deps, stress=sig, statev=stvar, ddsdde=D, status=status)
-    call speak("User_Mod", status, given, size(sig), N_STATEV)
     failed = status /= OK
+    if (failed) call speak("User_Mod", status, given, size(sig), N_STATEV)
   end subroutine evaluate
 
   !> A text as hosts expect it: its length in the first character.
@@ -63,14 +63,14 @@ subroutine user_mod(idtask, imod, isundr, istep, iter, iel, int, x, y, z, time0,
   real(dp), intent(in) :: x, y, z, time0, dtime, props(*), sig0(*), swp0, stvar0(*), deps(*)
   real(dp), intent(inout) :: d(6, 6), bulkw, sig(*), swp, stvar(*)
   integer, intent(inout) :: ipl, nstat, nonsym, istrsdep, itimedep, itang, iabort
-  real(dp) :: new_sig(6), new_stvar(N_STATEV)
+  real(dp) :: new_sig(6), new_stvar(N_STATEV), not_asked(6, 6)
   logical :: failed
 
   failed = imod /= 1
   select case (merge(0, idtask, failed))
   case (INITIALISE)                  ! states start themselves
   case (STRESS)
-    call evaluate(props(:size(PARAMETERS)), sig0(:6), stvar0(:N_STATEV), deps(:6), new_sig, new_stvar, d, failed)
+    call evaluate(props(:size(PARAMETERS)), sig0(:6), stvar0(:N_STATEV), deps(:6), new_sig, new_stvar, not_asked, failed)
     sig(:6) = new_sig
     stvar(:N_STATEV) = new_stvar
     swp = swp0
