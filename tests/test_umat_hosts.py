@@ -92,8 +92,8 @@ def test_all_that_may_only_be_read_lives_in_read_only_memory():
     place, at = page, {}
     doubles = {"dstran": DSTRAN, "props": PROPS, "drot": EYE, "dfgrd0": EYE, "dfgrd1": EYE, "time": np.zeros(2),
                "stran": np.zeros(6), "coords": np.zeros(3), "dtime": np.zeros(1), "temp": np.zeros(1), "celent": np.ones(1)}
-    integers = {"ndi": 3, "nshr": 3, "ntens": 6, "nstatv": N_STATEV, "nprops": len(PROPS), "noel": 1, "npt": 1, "layer": 1, "kspt": 1,
-                "kstep": 1, "kinc": 1}
+    integers = {"ndi": 3, "nshr": 3, "ntens": 6, "nstatv": N_STATEV, "nprops": len(PROPS), "noel": 1, "npt": 1, "layer": 1,
+                "kspt": 1, "kstep": 1, "kinc": 1}
     for name, value in doubles.items():
         ctypes.memmove(place, np.ascontiguousarray(value).ctypes.data, value.nbytes)
         at[name], place = place, place + value.nbytes

@@ -1,5 +1,7 @@
 """UMAT: hosts that prescribe stresses and know no line search."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ PROBE = 1e-4                # abs(D) of the strain whose tangent stands for that
 def triaxial_cycles():
     """Axial compression beyond the side pressure, row by row: 0, AMPLITUDE, -AMPLITUDE, AMPLITUDE ..."""
     turns = AMPLITUDE * np.array([0.0] + [(-1) ** k for k in range(REVERSALS + 1)])
-    return np.concatenate([np.linspace(a, b, ROWS + 1)[1:] for a, b in zip(turns, turns[1:])])
+    return np.concatenate([np.linspace(a, b, ROWS + 1)[1:] for a, b in pairwise(turns)])
 
 
 @pytest.mark.slow

@@ -334,6 +334,7 @@ contains
     case (BAD_INITIAL_STATE)
       write (output_unit, "(2(a, es11.4))") "granumat: PROPS(2) stiffness =", props(P_STIFFNESS), &
         "; the pressure, in the same unit, is that of PROPS(7) or of STRESS; phi =", props(P_PHI)
+    case default             ! the message says it all
     end select
   end subroutine speak
 

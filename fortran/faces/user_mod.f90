@@ -121,7 +121,7 @@ subroutine getparamname(imod, iparam, name)
   implicit none (type, external)
   integer, intent(in) :: imod, iparam
   character(len=*), intent(out) :: name
-  name = ""
+  name = written("")
   if (iparam >= 1 .and. iparam <= size(PARAMETERS)) name = written(PROPERTIES(PARAMETERS(iparam))%name)
 end subroutine getparamname
 
@@ -131,7 +131,7 @@ subroutine getparamunit(imod, iparam, unit)
   implicit none (type, external)
   integer, intent(in) :: imod, iparam
   character(len=*), intent(out) :: unit
-  unit = ""
+  unit = written("")
   if (iparam >= 1 .and. iparam <= size(PARAMETERS)) unit = written(PROPERTIES(PARAMETERS(iparam))%unit)
 end subroutine getparamunit
 
@@ -148,7 +148,7 @@ subroutine getstatevarname(imod, ivar, name)
   implicit none (type, external)
   integer, intent(in) :: imod, ivar
   character(len=*), intent(out) :: name
-  name = ""
+  name = written("")
   if (ivar >= 1 .and. ivar <= size(STATES)) name = written(STATES(ivar))
 end subroutine getstatevarname
 

@@ -19,7 +19,7 @@ COARSE = 0.999                                               # tolerance at whic
 
 
 def loads():
-    """Displacement gradients (n, 3, 3) of wandering strains, in the plane and in space, and axial displacements (n,), back and forth."""
+    """Displacement gradients (n, 3, 3) of wandering strains, plane and in space; axial displacements (n,), back and forth."""
     increments = 2e-3 * np.random.default_rng(2011).normal(size=(40, 3, 3))
     increments = (increments + np.swapaxes(increments, 1, 2)) / 2
     increments -= np.trace(increments, axis1=1, axis2=2)[:, None, None] / 3 * np.eye(3)
@@ -55,7 +55,8 @@ def main(place):
         expected = along(given[f"gradients_{dimension}"])
         for interface in ("UDSM", "UMAT"):
             stress = found[f"{interface}_{dimension}"]
-            errors[f"{interface}, {dimension}D"] = np.abs(stress - expected[:, None, :stress.shape[2]]).max() / np.abs(expected).max()
+            difference = stress - expected[:, None, :stress.shape[2]]
+            errors[f"{interface}, {dimension}D"] = np.abs(difference).max() / np.abs(expected).max()
     legs = [driver.triaxial(strain, increments=20) for strain in (0.02, -0.02)]
     states = driver.run(SAND, SAND.isotropic(PHI, PRESSURE / UNIT), legs, tolerance=COARSE).states[1:]
     expected = UNIT * states.stress[:, XX_YY_ZZ_XY_YZ_XZ]
