@@ -94,16 +94,23 @@ contains
     type(lane_state) :: x, x_new
     real(dp) :: given(N_PROPS), strain(6), spin(3), tangent(LANES, 6, N_COLUMNS), slope(6, 6), basis(6)
     real(dp) :: lanes_R(LANES, 3, 3), R(3, 3), R_T(3, 3)
-    integer :: lane_status(LANES), place(6), n, j
+    real(dp) :: handed_strain(6), handed_stress(6)
+    integer :: lane_status(LANES), place(6), n, i, j
     logical :: unloads
 
     n = size(stress)
     place = [1, 2, 3, 4, 5, 6]
     call read_properties(props, given, par, status)
     if (status == OK) status = layout_status(n, size(statev))
-    if (status == OK .and. n == 6 .and. nint(given(P_ORDER)) == 1) place(5:) = [6, 5]
-    if (status == OK) call read_increment(nint(given(P_SPIN)), dstran(place(:n)), drot, dfgrd0, dfgrd1, strain, spin, status)
-    if (status == OK) call read_state(par, given, stress(place(:n)), statev, old, status)
+    if (status == OK) then
+      if (n == 6 .and. nint(given(P_ORDER)) == 1) place(5:) = [6, 5]
+      do i = 1, n
+        handed_strain(i) = dstran(place(i))
+        handed_stress(i) = stress(place(i))
+      end do
+      call read_increment(nint(given(P_SPIN)), handed_strain(:n), drot, dfgrd0, dfgrd1, strain, spin, status)
+    end if
+    if (status == OK) call read_state(par, given, handed_stress(:n), statev, old, status)
     if (status == OK) then
       unloads = par%elastic_strain > 0 .and. all(abs(strain) <= 0)
       call gather([old], x)
@@ -131,8 +138,12 @@ contains
         end do
         if (nint(given(P_SPIN)) == SPIN_CALCULIX) call take_to_reference(dfgrd1, new(1)%stress, slope(:, :n))
       end if
-      stress(place(:n)) = given(P_STIFFNESS) * new(1)%stress(:n)
-      ddsdde(place(:n), place(:n)) = given(P_STIFFNESS) * slope(:n, :n)
+      do j = 1, n
+        stress(place(j)) = given(P_STIFFNESS) * new(1)%stress(j)
+        do i = 1, n
+          ddsdde(place(i), place(j)) = given(P_STIFFNESS) * slope(i, j)
+        end do
+      end do
     else
       call stiffness_of_failure(props, ddsdde)
     end if
