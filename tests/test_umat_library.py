@@ -87,6 +87,13 @@ def test_the_source_has_no_save_common_input_output_or_stop_but_where_faults_are
     assert re.search(forbidden, "  write (*, *) x")
 
 
+def test_the_soil_model_compiles_with_the_source_alone(prefix, tmp_path):
+    share = prefix / "share/granumat"
+    run("gfortran", "-shared", "-fPIC", "-frecursive", share / "granumat_umat.f90", share / "user_mod.f90", "-o", "model.so",
+        cwd=tmp_path)
+    assert {name for _, name in symbols("-D", "--defined-only", tmp_path / "model.so")} >= SOIL_MODEL
+
+
 def test_the_source_is_one_file_of_one_lane_in_lines_that_every_compiler_takes():
     lines = SOURCE.read_text().splitlines()
     assert lines[0] == "!DIR$ FREEFORM"

@@ -28,7 +28,7 @@ def test_drained_triaxial_stress_cycles_converge_in_every_row(elastic_strain):
     for beyond in rows:
         point.go_to(-PRESSURE * np.array([1.0, 1, 1, 0, 0, 0]) - beyond * np.array([1.0, 0, 0, 0, 0, 0]))
     assert len(rows) == 1300 and point.missed == 0
-    assert point.iterations < 4 * len(rows)
+    assert point.iterations < 4 * len(rows)                  # 5122 and 4231
 
 
 def sheared(elastic_strain, closure="full"):
