@@ -15,7 +15,8 @@ enum granumat_closure { GRANUMAT_CRITICAL, GRANUMAT_BASIC, GRANUMAT_N2, GRANUMAT
 enum granumat_contact { GRANUMAT_HOOKEAN, GRANUMAT_HERTZIAN };
 enum granumat_calibration { GRANUMAT_TABLE_1, GRANUMAT_TEXT, GRANUMAT_FIGURE_16 };
 
-/* What a status says; granumat_status_message has the words. From GRANUMAT_BAD_LAYOUT on they are the UMAT's. */
+/* What a status says; granumat_status_message has the words. From GRANUMAT_BAD_LAYOUT on they are the UMAT's,
+ * but for GRANUMAT_BAD_INITIAL_STATE. */
 enum granumat_status {
     GRANUMAT_OK,
     GRANUMAT_NOT_FINITE,

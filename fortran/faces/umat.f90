@@ -34,6 +34,9 @@ module granumat_umat
   integer, parameter, public :: N_PROPS = 10
   integer, parameter :: N_PROPS_NEEDED = 6      ! those left out at the end are 0
 
+  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3, SPIN_CALCULIX = 4
+  integer, parameter :: ORDER_KRATOS = 1
+
   !> What PROPS may be.
   type, public :: property
     character(len=14) :: name
@@ -51,9 +54,9 @@ module granumat_umat
     property("elastic_strain", 0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "-"), &
     property("phi",            tiny(1.0_dp), 1 - epsilon(1.0_dp),         .false., "between 0 and 1",       "-"), &
     property("pressure",       0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "F/L^2#"), &
-    property("spin",           0.0_dp,       4.0_dp,                      .true.,  "0, 1, 2, 3 or 4",       "-"), &
+    property("spin",           0.0_dp,       real(SPIN_CALCULIX, dp),     .true.,  "0, 1, 2, 3 or 4",       "-"), &
     property("calibration",    0.0_dp,       real(FIGURE_16, dp),         .true.,  "0, 1 or 2",             "-"), &
-    property("order",          0.0_dp,       1.0_dp,                      .true.,  "0 or 1",                "-")]
+    property("order",          0.0_dp,       real(ORDER_KRATOS, dp),      .true.,  "0 or 1",                "-")]
 
   integer, parameter :: S_SENTINEL = 1          !! 0: the state starts from PROPS; 1: it has
   integer, parameter :: S_FABRIC = 2            !! A 11 22 33 12 13 23
@@ -64,8 +67,6 @@ module granumat_umat
   integer, parameter :: S_WORK = 22             !! integral of stress : strain, in the unit of stress (trapezoidal rule)
   integer, parameter :: S_STATUS = 23           !! 0 done, else why the last call failed
   integer, parameter, public :: N_STATEV = 23
-
-  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3, SPIN_CALCULIX = 4
 
   real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
   real(dp), parameter :: NO_STRAIN = 1.0e-13_dp            ! below it a strain has no direction, only the host's round-off
@@ -103,7 +104,7 @@ contains
     call read_properties(props, given, par, status)
     if (status == OK) status = layout_status(n, size(statev))
     if (status == OK) then
-      if (n == 6 .and. nint(given(P_ORDER)) == 1) place(5:) = [6, 5]
+      if (n == 6 .and. nint(given(P_ORDER)) == ORDER_KRATOS) place(5:) = [6, 5]
       do i = 1, n
         handed_strain(i) = dstran(place(i))
         handed_stress(i) = stress(place(i))
