@@ -98,7 +98,7 @@ def test_the_source_is_one_file_of_one_lane_in_lines_that_every_compiler_takes()
     lines = SOURCE.read_text().splitlines()
     assert lines[0] == "!DIR$ FREEFORM"
     assert max(map(len, lines)) <= 132
-    assert sum("LANES = 1" in line for line in lines) == 1
+    assert sum(":: LANES = 1" in line for line in lines) == 1
     used = set(re.findall(r"^ *use (granumat_\w+)", "\n".join(lines), re.M))
     assert used <= set(re.findall(r"^module (\w+)", "\n".join(lines), re.M))
 
