@@ -7,9 +7,9 @@ import pytest
 
 from granumat import Material
 
-CALCULIX = Path(__file__).resolve().parents[1] / "demos/linking/calculix"
-NO_DOWNLOAD = 69            # exit status of its build.sh
-PROGRAMS = {"calculix", "mpirun"}     # fixtures: tests of other programs, or of several ranks
+LINKING = Path(__file__).resolve().parents[1] / "demos/linking"
+NO_DOWNLOAD = 69            # exit status of build.sh there
+PROGRAMS = {"calculix", "kratos", "mpirun"}     # fixtures: tests of other programs, or of several ranks
 
 
 def pytest_collection_modifyitems(items):
@@ -19,16 +19,28 @@ def pytest_collection_modifyitems(items):
             item.add_marker("release_only")
 
 
+def built(name):
+    """The folder of a program in demos/linking, which is there; skips the test where it cannot be downloaded."""
+    done = subprocess.run([LINKING / name / "build.sh"], capture_output=True, text=True)
+    if done.returncode == NO_DOWNLOAD:
+        pytest.skip(f"{name} cannot be downloaded, nor was it before: {done.stderr.strip()}")
+    assert done.returncode == 0, done.stdout + done.stderr
+    return LINKING / name
+
+
 @pytest.fixture(scope="session")
 def calculix():
     """CalculiX is there, and the modules of demos/linking/calculix can be imported."""
-    built = subprocess.run([CALCULIX / "build.sh"], capture_output=True, text=True)
-    if built.returncode == NO_DOWNLOAD:
-        pytest.skip(f"CalculiX's source cannot be downloaded, nor was it before: {built.stderr.strip()}")
-    assert built.returncode == 0, built.stdout + built.stderr
-    sys.path.insert(0, str(CALCULIX))
+    folder = str(built("calculix"))
+    sys.path.insert(0, folder)
     yield
-    sys.path.remove(str(CALCULIX))
+    sys.path.remove(folder)
+
+
+@pytest.fixture(scope="session")
+def kratos():
+    """demos/linking/kratos, Kratos being there."""
+    return built("kratos")
 
 
 @pytest.fixture

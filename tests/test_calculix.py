@@ -36,6 +36,11 @@ def test_most_increments_of_a_homogeneous_job_take_two_iterations(demo):
         assert np.median(output.iterations) == 2, name
 
 
+def test_the_tangent_of_unloading_where_there_is_no_strain_costs_calculix_no_iteration(demo):
+    outputs = [*demo["outputs"].values(), *(output for _, _, output in demo["reactions"].values())]
+    assert sum(output.iterations.sum() for output in outputs) <= 1896              # with the tangent of going on; docs/umat.md
+
+
 def test_two_threads_give_the_same_up_to_round_off(demo):
     one, two = demo["outputs"]["platen"], demo["threads"]
     assert np.array_equal(one.iterations, two.iterations)

@@ -2,6 +2,9 @@
 
 import ctypes
 import mmap
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -89,8 +92,8 @@ def test_all_that_may_only_be_read_lives_in_read_only_memory():
     place, at = page, {}
     doubles = {"dstran": DSTRAN, "props": PROPS, "drot": EYE, "dfgrd0": EYE, "dfgrd1": EYE, "time": np.zeros(2),
                "stran": np.zeros(6), "coords": np.zeros(3), "dtime": np.zeros(1), "temp": np.zeros(1), "celent": np.ones(1)}
-    integers = {"ndi": 3, "nshr": 3, "ntens": 6, "nstatv": N_STATEV, "nprops": 9, "noel": 1, "npt": 1, "layer": 1, "kspt": 1,
-                "kstep": 1, "kinc": 1}
+    integers = {"ndi": 3, "nshr": 3, "ntens": 6, "nstatv": N_STATEV, "nprops": len(PROPS), "noel": 1, "npt": 1, "layer": 1,
+                "kspt": 1, "kstep": 1, "kinc": 1}
     for name, value in doubles.items():
         ctypes.memmove(place, np.ascontiguousarray(value).ctypes.data, value.nbytes)
         at[name], place = place, place + value.nbytes
@@ -190,7 +193,7 @@ def failures():
     plain = {"stress": stress, "statev": statev, "dstran": DSTRAN, "props": PROPS}
     cases = {f"NaN in DSTRAN({k + 1})": {"dstran": changed(DSTRAN, k, np.nan)} for k in (0, 5)}
     cases |= {f"NaN in DSTRAN({k + 1}) alone": {"dstran": changed(np.zeros(6), k, np.nan)} for k in (0, 5)}
-    cases |= {f"NaN in PROPS({k + 1})": {"props": changed(PROPS, k, np.nan)} for k in range(9)}
+    cases |= {f"NaN in PROPS({k + 1})": {"props": changed(PROPS, k, np.nan)} for k in range(10)}
     cases |= {f"NaN in STATEV({k + 1})": {"statev": changed(statev, k, np.nan)} for k in (0, 1, 6, 7, 8, 9, 15, 20)}
     cases |= {
         "infinite DSTRAN": {"dstran": changed(DSTRAN, 1, np.inf)},
@@ -222,6 +225,9 @@ def failures():
             {"statev": np.zeros(N_STATEV), "props": changed(changed(PROPS, 2, 0.0), 6, 1.0 * PROPS[1])},
         "spin 5": {"props": changed(PROPS, 7, 5.0)},
         "calibration 3": {"props": changed(PROPS, 8, 3.0)},
+        "order 2": {"props": changed(PROPS, 9, 2.0)},
+        "100 kPa with a stiffness of 1": {"statev": np.zeros(N_STATEV), "props": changed(changed(PROPS, 1, 1.0), 6, 100.0)},
+        "a void ratio in STATEV(1)": {"statev": changed(statev, 0, 0.7)},
         "DROT no rotation": {"props": changed(PROPS, 7, 1.0), "drot": 1.1 * EYE},
         "DROT a reflection": {"props": changed(PROPS, 7, 1.0), "drot": np.diag([1.0, 1, -1])},
         "DROT not finite": {"props": changed(PROPS, 7, 1.0), "drot": changed(EYE, (0, 1), np.nan)},
@@ -246,7 +252,8 @@ def test_failure_gives_the_old_state_a_finite_tangent_and_a_smaller_step(name):
         assert result.statev[:STATUS].tobytes() == arguments["statev"][:STATUS].tobytes()
         assert status_message(result.status) not in ("done", "unknown status")
     else:
-        assert result.statev.tobytes() == arguments["statev"].tobytes()
+        assert result.statev[:-1].tobytes() == arguments["statev"][:-1].tobytes()
+        assert all(status_message(int(last)) not in ("done", "unknown status") for last in result.statev[-1:])
     call(**arguments, null=("pnewdt",))                                 # nor may a null pointer be written
 
 
@@ -268,7 +275,9 @@ def test_after_a_failure_smaller_increments_go_on():
 def test_messages_say_which_of_the_layouts_is_asked_for():
     for arguments, word in ((failures()["plane stress"], "plane stress"), (failures()["too many PROPS"], "NPROPS"),
                             (failures()["foreign state"], "STATEV(1)"), (failures()["DROT a half turn"], "DROT"),
-                            (failures()["initial phi 1.2"], "initial state")):
+                            (failures()["initial phi 1.2"], "constant"), (failures()["initial pressure below 0"], "constant"),
+                            (failures()["100 kPa with a stiffness of 1"], "initial state"),
+                            (failures()["strain beyond reason"], "smaller increment")):
         assert word in status_message(call(**arguments).status)
     assert f"at least {N_STATEV}" in status_message(11)
 
@@ -285,3 +294,73 @@ def test_volume_fraction_follows_the_strain_exactly():
     result = call(stress, statev, DSTRAN, PROPS)
     assert result.statev[PHI] == pytest.approx(statev[PHI] * np.exp(-DSTRAN[:3].sum()), rel=1e-15)
     assert engineering(EYE).tolist() == [1, 1, 1, 0, 0, 0] and len(ORDER) == 37
+
+
+# ---- what is said on unit 6 ------------------------------------------------------------------------------------------
+
+def said(*changes):
+    """What a process prints that calls three times with each of the changes to PROPS (number, from 1, and value) or STATEV."""
+    program = "import numpy as np\nfrom test_umat_hosts import DSTRAN, PROPS, call\n" + "".join(
+        f"for _ in range(3):\n    arrays = {{'stress': np.zeros(6), 'statev': np.zeros(23), 'props': PROPS.copy()}}\n    {change}\n"
+        "    assert call(dstran=DSTRAN, **arrays).pnewdt == 0.25\n" for change in changes)
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=Path(__file__).parent)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_faults_of_the_set_up_are_told_once_with_the_props_at_fault():
+    lines = said("arrays['props'][[0, 5]] = 2, 60", "arrays['props'][2] = 2.5")
+    assert lines == [f"granumat: UMAT refuses this call, status 2: {status_message(2)}",
+                     "granumat: PROPS(1) mu = 2.0000E+00, allowed: 0 to 1",
+                     "granumat: PROPS(6) phi = 6.0000E+01, allowed: between 0 and 1"]
+
+
+def test_each_kind_of_fault_is_told():
+    lines = said("arrays['statev'] = np.zeros(22)", "arrays['props'][[1, 6]] = 1, 100", "arrays['statev'][0] = 0.7",
+                 "arrays['props'][7] = 1; arrays['drot'] = np.zeros((3, 3))")
+    assert [int(line.split("status ")[1].split(":")[0]) for line in lines if "refuses" in line] == [11, 13, 12, 14]
+    assert lines[1] == "granumat: NTENS 6, NSTATV 22, NPROPS 10"
+    assert lines[3].startswith("granumat: PROPS(2) stiffness = 1.0000E+00;")
+
+
+def test_what_a_smaller_increment_mends_is_not_told():
+    program = "from test_umat_hosts import DSTRAN, PROPS, call, started\nprint(call(*started(), 1e3 * DSTRAN, PROPS).status)"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd=Path(__file__).parent)
+    assert done.stdout.split() == ["16"], done.stderr
+
+
+@pytest.mark.parametrize("spin", [0, 2])
+def test_a_strain_above_1_is_cut_before_it_is_integrated(spin):
+    props = properties(stiffness=UNIT, elastic_strain=0.01, pressure=5e3, spin=spin)
+    stress, statev = started(props)
+    for size, status in ((0.999, 0), (1.001, 16)):
+        gradient = size * np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 0]])
+        result = call(stress, statev, engineering(gradient), props, dfgrd1=expm(gradient))
+        assert result.status == status and (result.pnewdt < 1) == (status > 0)
+
+
+# ---- the order of the shears -----------------------------------------------------------------------------------------
+
+@pytest.mark.parametrize("spin", [0, 1, 2, 3])
+def test_a_host_with_the_shears_23_and_13_exchanged_gets_them_exchanged(rng, spin):
+    kratos = np.array([0, 1, 2, 3, 5, 4])
+    abaqus = properties(stiffness=UNIT, elastic_strain=0.01, spin=spin)
+    other = changed(abaqus, 9, 1.0)
+    stress, statev, old = np.array([-5e3, -4e3, -6e3, 300, -200, 100.0]), np.zeros(N_STATEV), EYE
+    for _ in range(3):
+        gradient = 0.02 * rng.normal(size=(3, 3))
+        gradient -= np.trace(gradient) / 3 * EYE
+        turn = {"drot": expm((gradient - gradient.T) / 2), "dfgrd0": old, "dfgrd1": expm(gradient) @ old}
+        plain = call(stress, statev, engineering(gradient), abaqus, **turn)
+        found = call(stress[kratos], statev, engineering(gradient)[kratos], other, **turn)
+        assert plain.status == found.status == 0
+        assert found.stress.tobytes() == plain.stress[kratos].tobytes()
+        assert found.ddsdde.tobytes() == plain.ddsdde[np.ix_(kratos, kratos)].tobytes()
+        assert found.statev.tobytes() == plain.statev.tobytes()
+        stress, statev, old = plain.stress, plain.statev, turn["dfgrd1"]
+
+
+def test_plane_strain_has_one_shear_and_no_order():
+    stress, statev = started()
+    plain, other = (call(stress[:4], statev, DSTRAN[:4], changed(PROPS, 9, order)) for order in (0.0, 1.0))
+    assert same(plain, other)

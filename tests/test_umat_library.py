@@ -1,5 +1,6 @@
 """UMAT: what is built, what it exports and keeps, and that others can link to it."""
 
+import ctypes
 import re
 import shutil
 import subprocess
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material
-from support.umat_host import BUILD
+from granumat.core import status_message
+from granumat.material import CLOSURES, CONTACTS
+from support.umat_host import BUILD, call, properties
 
 ROOT = Path(__file__).parents[1]
 UMAT = (ROOT / "fortran" / "faces" / "umat.f90").read_text()
@@ -45,30 +48,57 @@ def prefix(tmp_path_factory):
     return directory
 
 
-def test_the_libraries_export_the_two_routines_and_the_alias_only():
-    assert {name for _, name in symbols("-D", "--defined-only", BUILD / "libGRANUMAT.so")} == {"umat_", "sdvini_", "GRANUMAT"}
+UMAT_NAMES = {"umat_", "sdvini_", "granumat_", "granumat_sdvini_"}
+SOIL_MODEL = {"user_mod_", "getmodelcount_", "getmodelname_", "getparamcount_", "getparamname_", "getparamunit_",
+              "getstatevarcount_", "getstatevarname_", "getstatevarunit_"}
+
+
+def test_the_libraries_export_what_hosts_call_and_nothing_else():
+    shared = {name for _, name in symbols("-D", "--defined-only", BUILD / "libGRANUMAT.so")}
+    assert shared == UMAT_NAMES | SOIL_MODEL | {"GRANUMAT"}
     static = symbols("--defined-only", "--extern-only", BUILD / "libgranumat_umat.a")
-    assert {name for kind, name in static if kind in "TDBRVWC"} == {"umat_", "sdvini_"}
+    assert {name for kind, name in static if kind in "TDBRVWC"} == UMAT_NAMES
 
 
-def test_nothing_is_kept_between_calls(hosts_object):
-    """No writable static data of ours: gfortran's constant type descriptors are all there is in .data and .bss."""
+@pytest.mark.parametrize("form", ["granumat_routed.f90", "libgranumat_umat.a", "libGRANUMAT.so"])
+def test_a_job_with_two_materials_and_an_umat_of_its_own_links(tmp_path, form):
+    run("gfortran", "-frecursive", ROOT / "tests/fortran/router.f90", BUILD / form, f"-Wl,-rpath,{BUILD}", "-o", "router",
+        cwd=tmp_path)
+    sand, steel = np.array([line.split() for line in run(tmp_path / "router").splitlines()], float)
+    dstran = np.array([0.001, -0.002, 0.0005, 0.003, -0.001, 0.002])
+    np.testing.assert_array_equal(steel, 2e11 * dstran)
+    expected = call(np.zeros(6), np.zeros(23), dstran, properties(stiffness=1e6, elastic_strain=0.01)).stress
+    np.testing.assert_allclose(sand, expected, rtol=1e-12, atol=1e-12 * np.abs(expected).max())
+
+
+def test_nothing_is_kept_between_calls_but_which_faults_have_been_told(hosts_object):
+    """No other writable static data of ours: gfortran's constant type descriptors are all there is in .data and .bss."""
     writable = {name for kind, name in symbols(hosts_object) if kind in "bBdDcCsSgG"}
-    assert {name for name in writable if "_MOD___vtab_" not in name and "_MOD___def_init_" not in name} == set()
+    ours = {name for name in writable if "_MOD___vtab_" not in name and "_MOD___def_init_" not in name}
+    assert {name.split(".")[0] for name in ours} == {"said"}
 
 
-def test_the_source_has_no_save_common_input_output_or_stop():
+def test_the_source_has_no_save_common_input_output_or_stop_but_where_faults_are_told():
     code = re.sub(r'"[^"\n]*"', '""', re.sub(r"!.*", "", SOURCE.read_text().lower()))
+    code, count = re.subn(r"  subroutine speak\(.*?  end subroutine speak\n", "", code, flags=re.S)
+    assert count == 1
     forbidden = r"\b(save|common|stop|write|print|open|close|read|inquire|equivalence|data|entry|goto)\b"
     assert re.findall(forbidden, code) == []
     assert re.search(forbidden, "  write (*, *) x")
+
+
+def test_the_soil_model_compiles_with_the_source_alone(prefix, tmp_path):
+    share = prefix / "share/granumat"
+    run("gfortran", "-shared", "-fPIC", "-frecursive", share / "granumat_umat.f90", share / "user_mod.f90", "-o", "model.so",
+        cwd=tmp_path)
+    assert {name for _, name in symbols("-D", "--defined-only", tmp_path / "model.so")} >= SOIL_MODEL
 
 
 def test_the_source_is_one_file_of_one_lane_in_lines_that_every_compiler_takes():
     lines = SOURCE.read_text().splitlines()
     assert lines[0] == "!DIR$ FREEFORM"
     assert max(map(len, lines)) <= 132
-    assert sum("LANES = 1" in line for line in lines) == 1
+    assert sum(":: LANES = 1" in line for line in lines) == 1
     used = set(re.findall(r"^ *use (granumat_\w+)", "\n".join(lines), re.M))
     assert used <= set(re.findall(r"^module (\w+)", "\n".join(lines), re.M))
 
@@ -86,7 +116,7 @@ def table(prefix):
     return [(int(number), name.lower(), words) for name, number, words in found]
 
 
-@pytest.mark.parametrize("prefix, length", [("P", 9), ("S", 23)])
+@pytest.mark.parametrize("prefix, length", [("P", 10), ("S", 23)])
 def test_the_page_of_the_umat_has_the_table_of_the_code(prefix, length):
     page = (ROOT / "docs/umat.md").read_text()
     slots = table(prefix)
@@ -94,6 +124,15 @@ def test_the_page_of_the_umat_has_the_table_of_the_code(prefix, length):
     assert numbers == sorted(numbers) and numbers[0] == 1 and numbers[-1] == length
     for number, name, words in slots:
         assert f"| {number} | `{name}` | {words} |" in page
+
+
+def test_the_page_of_the_umat_has_the_table_of_the_reasons():
+    rows = re.findall(r"^\| (\d+) \| (.*) \|$", (ROOT / "docs/umat.md").read_text().split("| STATEV(23) | reason |")[1]
+                      .split("\n\n")[0], re.M)
+    others = {9, 10}                                   # of the driver, which holds stresses
+    known = {number for number in range(100) if status_message(number) != "unknown status"}
+    assert {int(number) for number, _ in rows} == known - others
+    assert all(words == status_message(int(number)) for number, words in rows)
 
 
 @pytest.mark.parametrize("deck", ["abaqus/shear.inp", "moose/shear.i", "fortran/shear.f90"])
@@ -125,7 +164,7 @@ def check_output(demo, output):
                 expected.append([0.01 * min(k, 200 - k), -1e6 * state.stress[:3].mean(), 1e6 * state.stress[4]])
         np.testing.assert_allclose(numbers, expected, rtol=0, atol=6e-4)
     else:
-        states = np.array([material.isotropic(phi, coordination_number=material["Zc"] + 1)
+        states = np.array([material.isotropic(phi, pressure=0.005)
                            for phi in (0.59, 0.595, 0.60, 0.605, 0.61)], STATE)
         gradient = np.broadcast_to(gradient, (5, 3, 3))
         for _ in range(100):
@@ -149,12 +188,12 @@ def test_pkg_config_finds_both_libraries(prefix, tmp_path):
 
 
 def test_the_header_declares_what_the_library_has(tmp_path):
-    """Procedures exist, and the structures have the Fortran types' sizes."""
+    """Every procedure, every status, and the structures with the Fortran types' sizes."""
     header = (ROOT / "fortran" / "faces" / "granumat.h").read_text()
-    declared = set(re.findall(r"void (granumat_\w+)\(", header))
-    exported = {name for _, name in symbols("-D", "--defined-only", BUILD / "python" / "granumat" / "libgranumat_core.so")}
-    assert declared and declared <= exported
-    assert all(name.startswith("granumat_") for name in exported)
+    assert set(re.findall(r"void (granumat_\w+)\(", header)) == exported()
+    statuses = re.search(r"enum granumat_status \{(.*?)\}", header, re.S)[1].replace("GRANUMAT_", "").replace(",", "").split()
+    table = re.findall(r"public :: (\w+) = (\d+)", (ROOT / "fortran/base/status.f90").read_text())
+    assert [(name, str(number)) for number, name in enumerate(statuses)] == [row for row in table if row[0] != "MESSAGE_LENGTH"]
     (tmp_path / "sizes.c").write_text('#include "granumat.h"\n#include <stdio.h>\n'
                                       'int main(void) { printf("%zu %zu", sizeof(struct granumat_parameters), '
                                       'sizeof(struct granumat_state)); return 0; }\n')
@@ -162,6 +201,50 @@ def test_the_header_declares_what_the_library_has(tmp_path):
         "-o", tmp_path / "sizes")
     parameters, state = map(int, run(tmp_path / "sizes").split())
     assert parameters == Material().parameters.nbytes and state == STATE.itemsize
+
+
+def exported():
+    """Names in the core library."""
+    return {name for _, name in symbols("-D", "--defined-only", BUILD / "python" / "granumat" / "libgranumat_core.so")}
+
+
+def test_the_fortran_interface_has_every_procedure_and_agrees_with_python(prefix, tmp_path):
+    source = prefix / "share/granumat/granumat_c.f90"
+    assert set(re.findall(r"^    end subroutine (\w+)", source.read_text(), re.M)) == exported()
+    run("gfortran", "-Wall", "-Werror", "-std=f2018", source, ROOT / "tests/fortran/interface.f90", f"-L{prefix}/lib",
+        "-lgranumat_core", f"-Wl,-rpath,{prefix}/lib", "-o", tmp_path / "interface", cwd=tmp_path)
+    found = np.array([line.split() for line in run(tmp_path / "interface").splitlines()], float)
+    material = Material(0.5, elastic_strain=0.01)
+    states = np.array([material.steady(0.60), material.isotropic(0.60, pressure=0.005)], STATE)
+    gradient = np.broadcast_to(0.01 * np.outer([1, 0, 0], [0, 0, 1]), (2, 3, 3))
+    new, tangent = material.update_with_tangent(states, gradient)
+    np.testing.assert_array_equal(found[:, 0], 0)
+    np.testing.assert_allclose(found[:, 1:7], new.stress, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found[:, 7], tangent[:, 0, 4], rtol=1e-12)           # d stress_11/d strain_13, not its transpose
+
+
+@pytest.mark.parametrize("closure", CLOSURES)
+@pytest.mark.parametrize("contact", CONTACTS)
+def test_states_to_start_from_are_those_of_python(closure, contact):
+    core = ctypes.CDLL(str(BUILD / "python/granumat/libgranumat_core.so"))
+    material = Material(0.5, closure, contact)
+
+    def state(name, *numbers):
+        found, status = np.zeros(1, STATE), ctypes.c_int(-1)
+        getattr(core, name)(ctypes.c_void_p(material.parameters.ctypes.data), *map(ctypes.c_double, numbers),
+                            ctypes.c_void_p(found.ctypes.data), ctypes.byref(status))
+        return found[0], status.value
+
+    def assert_same(found, expected):
+        assert found[1] == 0
+        for name in STATE.names:
+            np.testing.assert_allclose(found[0][name], expected[name], rtol=1e-14, atol=1e-17, err_msg=name)
+
+    assert_same(state("granumat_isotropic_state", 0.60, 0.005), material.isotropic(0.60, pressure=0.005))
+    assert_same(state("granumat_isotropic_state", 0.60, 0.0), material.isotropic(0.60, pressure=0.0))
+    assert_same(state("granumat_steady_state", 0.60), material.steady(0.60))
+    for wrong in ((1.2, 0.005), (0.60, -0.005), (0.60, 100.0), (float("nan"), 0.005), (0.60, float("nan"))):
+        assert state("granumat_isotropic_state", *wrong)[1] > 0 or (closure == "critical" and wrong[1] == 0.005)
 
 
 def test_the_cost_of_a_call_is_measured():

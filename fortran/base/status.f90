@@ -20,6 +20,7 @@ module granumat_status
   integer, parameter, public :: BAD_INITIAL_STATE = 13
   integer, parameter, public :: BAD_DEFORMATION = 14
   integer, parameter, public :: PLANE_STRESS = 15
+  integer, parameter, public :: STRAIN_TOO_LARGE = 16
 
   integer, parameter, public :: MESSAGE_LENGTH = 120
 
@@ -54,15 +55,17 @@ contains
     case (NOT_CONVERGED)
       message = "Newton's method does not converge: the increment is too large for it"
     case (BAD_LAYOUT)
-      message = "UMAT needs NTENS 6 or 4, NSTATV of at least 23 and NPROPS from 6 to 9"
+      message = "UMAT needs NTENS 6 or 4, NSTATV of at least 23 and NPROPS from 6 to 10"
     case (BAD_SENTINEL)
       message = "STATEV(1) is neither 0 (the state starts) nor 1 (it has): the states are not this material's"
     case (BAD_INITIAL_STATE)
-      message = "initial state: phi must be in (0, 1), also where it follows from the pressure, and the pressure not negative"
+      message = "initial state: the pressure over the stiffness is negative, or so large that Z2 is above 12 or phi above 1"
     case (BAD_DEFORMATION)
       message = "DROT, or DFGRD0 and DFGRD1, that PROPS asks for are missing, no deformation, or turn by more than 3 in one step"
     case (PLANE_STRESS)
       message = "plane stress (NTENS 3): a material without cohesion bears no load with a principal stress of zero"
+    case (STRAIN_TOO_LARGE)
+      message = "the strain of one call, abs(D), is above 1: the host is to take a smaller increment"
     case default
       message = "unknown status"
     end select

@@ -10,8 +10,9 @@ module granumat_bindings
   use granumat_methods, only: scheme
   use granumat_path, only: follow_path
   use granumat_state, only: lane_state, material_state, gather, scatter
+  use granumat_starts, only: excess_under, isotropic_state, steady_state
   use granumat_stress, only: evaluate
-  use granumat_status, only: status_message, MESSAGE_LENGTH
+  use granumat_status, only: status_message, BAD_INITIAL_STATE, MESSAGE_LENGTH
   implicit none (type, external)
   private
 
@@ -67,6 +68,24 @@ contains
       eta(first:last) = lane_eta(:last - first + 1)
     end do
   end subroutine granumat_evaluate_stress
+
+  !> The state of an isotropic packing under a pressure.
+  subroutine granumat_isotropic_state(par, volume_fraction, pressure, state, status) bind(c)
+    type(material_parameters), intent(in) :: par
+    real(c_double), value, intent(in) :: volume_fraction, pressure
+    type(material_state), intent(out) :: state
+    integer(c_int), intent(out) :: status
+    status = BAD_INITIAL_STATE
+    if (pressure >= 0) call isotropic_state(par, volume_fraction, excess_under(par, pressure), state, status)
+  end subroutine granumat_isotropic_state
+
+  subroutine granumat_steady_state(par, volume_fraction, state, status) bind(c)
+    type(material_parameters), intent(in) :: par
+    real(c_double), value, intent(in) :: volume_fraction
+    type(material_state), intent(out) :: state
+    integer(c_int), intent(out) :: status
+    call steady_state(par, volume_fraction, state, status)
+  end subroutine granumat_steady_state
 
   subroutine granumat_transverse_modulus(n, par, states, eta_t) bind(c)
     integer(c_int), value, intent(in) :: n

@@ -4,21 +4,21 @@
 !! read, DROT and DFGRD only if PROPS asks for them, STRESS only where a state starts. The stress of the last increment is
 !! kept in STATEV, where no host rotates anything, so it does not matter whether the STRESS that is handed in has been rotated.
 module granumat_umat
+  use, intrinsic :: iso_fortran_env, only: output_unit
   use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
-    PLANE_STRESS
-  use granumat_law, only: excess_target, volume_fraction_of
+    PLANE_STRESS, STRAIN_TOO_LARGE, status_message
+  use granumat_law, only: excess_target
   use granumat_matrices, only: gradient_logarithm, polar_rotation, rotation_logarithm
-  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, CRITICAL, FIGURE_16, HERTZIAN, &
-    KINEMATIC
+  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, FIGURE_16, HERTZIAN, KINEMATIC
   use granumat_state, only: lane_state, material_state, gather, scatter
-  use granumat_stress, only: evaluate
+  use granumat_starts, only: excess_under, isotropic_state
   use granumat_tangent, only: N_COLUMNS, N_ADJOINTS_3D, N_ADJOINTS_PLANE
   use granumat_tensors, only: product_symmetric, rotate
   use granumat_update, only: update
   implicit none (type, external)
   private
-  public :: advance
+  public :: advance, speak
 
   ! What each number of PROPS and STATEV is. docs/umat.md and the decks repeat this table, a test compares them.
   integer, parameter :: P_MU = 1                !! interparticle friction coefficient, 0 to 1
@@ -30,7 +30,33 @@ module granumat_umat
   integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
   integer, parameter :: P_SPIN = 8              !! 0 none, 1 DROT, 2 DFGRD; 3 as 2, STRESS unrotated; 4 as 3, DDSDDE for CalculiX
   integer, parameter :: P_CALIBRATION = 9       !! source of a4: 0 table 1, 1 text, 2 figure 16
-  integer, parameter :: N_PROPS = 9, N_PROPS_NEEDED = 6     ! those left out at the end are 0
+  integer, parameter :: P_ORDER = 10            !! of the last two shears: 0 Abaqus, 13 23; 1 Kratos, 23 13
+  integer, parameter, public :: N_PROPS = 10
+  integer, parameter :: N_PROPS_NEEDED = 6      ! those left out at the end are 0
+
+  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3, SPIN_CALCULIX = 4
+  integer, parameter :: ORDER_KRATOS = 1
+
+  !> What PROPS may be.
+  type, public :: property
+    character(len=14) :: name
+    real(dp) :: least, most
+    logical :: whole
+    character(len=21) :: allowed                !! in words
+    character(len=6) :: unit                    !! as hosts of user-defined soil models write it
+  end type property
+
+  type(property), parameter, public :: PROPERTIES(N_PROPS) = [ &
+    property("mu",             0.0_dp,       1.0_dp,                      .false., "0 to 1",                "-"), &
+    property("stiffness",      tiny(1.0_dp), huge(1.0_dp),                .false., "above 0",               "F/L^2#"), &
+    property("closure",        0.0_dp,       real(KINEMATIC, dp),         .true.,  "0, 1, 2, 3 or 4",       "-"), &
+    property("contact",        0.0_dp,       real(HERTZIAN, dp),          .true.,  "0 or 1",                "-"), &
+    property("elastic_strain", 0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "-"), &
+    property("phi",            tiny(1.0_dp), 1 - epsilon(1.0_dp),         .false., "between 0 and 1",       "-"), &
+    property("pressure",       0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "F/L^2#"), &
+    property("spin",           0.0_dp,       real(SPIN_CALCULIX, dp),     .true.,  "0, 1, 2, 3 or 4",       "-"), &
+    property("calibration",    0.0_dp,       real(FIGURE_16, dp),         .true.,  "0, 1 or 2",             "-"), &
+    property("order",          0.0_dp,       real(ORDER_KRATOS, dp),      .true.,  "0 or 1",                "-")]
 
   integer, parameter :: S_SENTINEL = 1          !! 0: the state starts from PROPS; 1: it has
   integer, parameter :: S_FABRIC = 2            !! A 11 22 33 12 13 23
@@ -40,13 +66,16 @@ module granumat_umat
   integer, parameter :: S_STRESS = 16           !! stress over the stress unit, 11 22 33 12 13 23
   integer, parameter :: S_WORK = 22             !! integral of stress : strain, in the unit of stress (trapezoidal rule)
   integer, parameter :: S_STATUS = 23           !! 0 done, else why the last call failed
-  integer, parameter :: N_STATEV = 23
-
-  integer, parameter :: SPIN_NONE = 0, SPIN_DROT = 1, SPIN_DFGRD = 2, SPIN_UNROTATED = 3, SPIN_CALCULIX = 4
+  integer, parameter, public :: N_STATEV = 23
 
   real(dp), parameter, public :: CUTBACK = 0.25_dp         ! PNEWDT of a failed call
   real(dp), parameter :: NO_STRAIN = 1.0e-13_dp            ! below it a strain has no direction, only the host's round-off
   real(dp), parameter :: LARGEST_ANGLE = 3.0_dp            ! below pi, where the logarithm of a rotation is not unique
+  real(dp), parameter :: LARGEST_STRAIN = 1.0_dp           ! abs(D) of one call: more is a host's bad guess, and takes milliseconds
+
+  ! What a host cannot mend by a smaller increment.
+  integer, parameter, public :: SET_UP(6) = [BAD_PARAMETERS, BAD_LAYOUT, BAD_SENTINEL, BAD_INITIAL_STATE, BAD_DEFORMATION, &
+    PLANE_STRESS]
 
 contains
 
@@ -54,7 +83,7 @@ contains
   !! as they are, but for the status among them, and the tangent is the stress unit's identity.
   subroutine advance(props, dstran, drot, dfgrd0, dfgrd1, stress, statev, ddsdde, status)
     real(dp), intent(in) :: props(:)                     ! P_ above
-    real(dp), intent(in) :: dstran(:)                    ! (4) 11 22 33 12 or (6) ... 13 23, engineering shears
+    real(dp), intent(in) :: dstran(:)                    ! (4) 11 22 33 12 or (6), as PROPS order them; engineering shears
     real(dp), intent(in), optional :: drot(3, 3)         ! rotation of the increment
     real(dp), intent(in), optional :: dfgrd0(3, 3), dfgrd1(3, 3)   ! deformation gradients at its start and end
     real(dp), intent(inout) :: stress(:)                 ! as dstran; tension positive
@@ -66,21 +95,34 @@ contains
     type(lane_state) :: x, x_new
     real(dp) :: given(N_PROPS), strain(6), spin(3), tangent(LANES, 6, N_COLUMNS), slope(6, 6), basis(6)
     real(dp) :: lanes_R(LANES, 3, 3), R(3, 3), R_T(3, 3)
-    integer :: lane_status(LANES), n, j
+    real(dp) :: handed_strain(6), handed_stress(6)
+    integer :: lane_status(LANES), place(6), n, i, j
+    logical :: unloads
 
     n = size(stress)
+    place = [1, 2, 3, 4, 5, 6]
     call read_properties(props, given, par, status)
     if (status == OK) status = layout_status(n, size(statev))
-    if (status == OK) call read_increment(nint(given(P_SPIN)), dstran, drot, dfgrd0, dfgrd1, strain, spin, status)
-    if (status == OK) call read_state(par, given, stress, statev, old, status)
     if (status == OK) then
+      if (n == 6 .and. nint(given(P_ORDER)) == ORDER_KRATOS) place(5:) = [6, 5]
+      do i = 1, n
+        handed_strain(i) = dstran(place(i))
+        handed_stress(i) = stress(place(i))
+      end do
+      call read_increment(nint(given(P_SPIN)), handed_strain(:n), drot, dfgrd0, dfgrd1, strain, spin, status)
+    end if
+    if (status == OK) call read_state(par, given, handed_stress(:n), statev, old, status)
+    if (status == OK) then
+      unloads = par%elastic_strain > 0 .and. all(abs(strain) <= 0)
       call gather([old], x)
+      if (unloads) x%direction = -x%direction
       call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, &
         merge(N_ADJOINTS_PLANE, N_ADJOINTS_3D, n == 4), tangent)
       slope = tangent(1, :, :6)
       status = lane_status(1)
     end if
     if (status == OK) then
+      if (unloads) x_new%direction = -x_new%direction
       call scatter(x_new, new)
       if (.not. statev(S_SENTINEL) > 0) statev(S_WORK) = 0
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
@@ -97,12 +139,16 @@ contains
         end do
         if (nint(given(P_SPIN)) == SPIN_CALCULIX) call take_to_reference(dfgrd1, new(1)%stress, slope(:, :n))
       end if
-      stress = given(P_STIFFNESS) * new(1)%stress(:n)
-      ddsdde = given(P_STIFFNESS) * slope(:n, :n)
+      do j = 1, n
+        stress(place(j)) = given(P_STIFFNESS) * new(1)%stress(j)
+        do i = 1, n
+          ddsdde(place(i), place(j)) = given(P_STIFFNESS) * slope(i, j)
+        end do
+      end do
     else
       call stiffness_of_failure(props, ddsdde)
     end if
-    if (size(statev) >= N_STATEV) statev(S_STATUS) = status
+    if (size(statev) > 0) statev(min(S_STATUS, size(statev))) = status
   end subroutine advance
 
   !> The tangent of a failed call: the stress unit times the strain.
@@ -134,22 +180,22 @@ contains
     if (size(props) < N_PROPS_NEEDED .or. size(props) > N_PROPS) return
     given(:size(props)) = props
     status = BAD_PARAMETERS
-    if (.not. all(abs(given) <= huge(given))) return
-    if (.not. (is_choice(given(P_CLOSURE), KINEMATIC) .and. is_choice(given(P_CONTACT), HERTZIAN) &
-      .and. is_choice(given(P_SPIN), SPIN_CALCULIX) .and. is_choice(given(P_CALIBRATION), FIGURE_16) &
-      .and. given(P_STIFFNESS) > 0)) return
+    if (any(at_fault(given))) return
     par = parameters_from_friction(given(P_MU), nint(given(P_CLOSURE)), nint(given(P_CONTACT)), nint(given(P_CALIBRATION)))
     par%elastic_strain = given(P_ELASTIC_STRAIN)
     if (are_valid(par)) status = OK
   end subroutine read_properties
 
-  !> Whether a number is one of 0, 1, ... last.
-  pure function is_choice(number, last) result(valid)
-    real(dp), intent(in) :: number
-    integer, intent(in) :: last
-    logical :: valid
-    valid = number >= 0 .and. number <= last .and. .not. abs(number - anint(number)) > 0
-  end function is_choice
+  !> Which of PROPS are not finite, out of their range or not whole where they have to be.
+  pure function at_fault(given) result(faulty)
+    real(dp), intent(in) :: given(:)
+    logical :: faulty(size(given))
+    integer :: i
+    do i = 1, size(given)
+      faulty(i) = .not. (given(i) >= PROPERTIES(i)%least .and. given(i) <= PROPERTIES(i)%most)
+      if (.not. faulty(i)) faulty(i) = PROPERTIES(i)%whole .and. abs(given(i) - anint(given(i))) > 0
+    end do
+  end function at_fault
 
   pure function layout_status(ntens, nstatv) result(status)
     integer, intent(in) :: ntens, nstatv
@@ -183,6 +229,7 @@ contains
     end if
     if (all(abs(strain) < NO_STRAIN)) strain = 0
     spin = [L(1, 2) - L(2, 1), L(1, 3) - L(3, 1), L(2, 3) - L(3, 2)] / 2
+    if (norm2([strain(:3) / sqrt(2.0_dp), strain(4:) / 2]) > LARGEST_STRAIN) status = STRAIN_TOO_LARGE
     if (.not. (found(1) .and. norm2(spin) < LARGEST_ANGLE)) status = BAD_DEFORMATION
   end subroutine read_increment
 
@@ -253,42 +300,55 @@ contains
     statev(S_PHI) = x%volume_fraction
   end subroutine write_state
 
-  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept. In the
-  !! critical-state closure, where Z2 = f(phi), a pressure holds and phi follows from it (A 11).
+  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept.
   pure subroutine start(par, given, stress, x, status)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: given(N_PROPS), stress(:)
     type(material_state), intent(out) :: x
-    integer, intent(inout) :: status
-    type(lane_state) :: lanes_x
-    type(material_state) :: started(1)
-    real(dp) :: p, factor, handed(6), eta(LANES), f(LANES)
+    integer, intent(out) :: status
+    real(dp) :: p, handed(6), f(LANES)
 
     handed = 0
     handed(:size(stress)) = stress / given(P_STIFFNESS)
     p = given(P_PRESSURE) / given(P_STIFFNESS)
     if (.not. abs(p) > 0) p = -sum(handed(:3)) / 3
-    if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
-    if (p < 0 .or. .not. (given(P_PHI) > 0 .and. given(P_PHI) < 1)) status = BAD_INITIAL_STATE
-    x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=given(P_PHI))
-    if (status /= OK) return
     f = excess_target(par, spread(given(P_PHI) - par%phic, 1, LANES))
-    if (p > 0) then
-      factor = par%a1
-      if (par%closure == CRITICAL) factor = par%a1 + par%a2 * par%kappa
-      f = sqrt(merge(p**(2.0_dp / 3), p, par%contact == HERTZIAN) / factor)
-      if (par%closure == CRITICAL) x%volume_fraction = volume_fraction_of(par, f(1))
-      if (.not. x%volume_fraction < 1) status = BAD_INITIAL_STATE
-      if (status /= OK) return
-    end if
-    x%coordination_number = par%Zc + f(1)
-    call gather([x], lanes_x)
-    call evaluate(par, lanes_x, eta)
-    call scatter(lanes_x, started)
-    x = started(1)
+    if (p > 0) f = excess_under(par, p)
+    call isotropic_state(par, given(P_PHI), f(1), x, status)
+    if (p < 0) status = BAD_INITIAL_STATE
+    if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
     x%stress = x%stress + handed
     x%stress(:3) = x%stress(:3) - sum(handed(:3)) / 3
   end subroutine start
+
+  !> Says on unit 6 why a call failed, each reason once. Threads that fail at the same time may both say it.
+  subroutine speak(face, status, props, ntens, nstatv)
+    character(len=*), intent(in) :: face              ! who speaks
+    integer, intent(in) :: status, ntens, nstatv
+    real(dp), intent(in) :: props(:)
+    logical, save :: said(STRAIN_TOO_LARGE) = .false.       ! by status, of which this is the last
+    logical :: faulty(size(props))
+    integer :: i
+
+    if (said(status)) return
+    said(status) = .true.
+    write (output_unit, "(3a, i0, 2a)") "granumat: ", face, " refuses this call, status ", status, ": ", &
+      trim(status_message(status))
+    select case (status)
+    case (BAD_LAYOUT)
+      write (output_unit, "(3(a, i0))") "granumat: NTENS ", ntens, ", NSTATV ", nstatv, ", NPROPS ", size(props)
+    case (BAD_PARAMETERS)
+      faulty = at_fault(props)
+      do i = 1, size(props)
+        if (faulty(i)) write (output_unit, "(a, i0, 3a, es11.4, 2a)") "granumat: PROPS(", i, ") ", trim(PROPERTIES(i)%name), " =", &
+          props(i), ", allowed: ", trim(PROPERTIES(i)%allowed)
+      end do
+    case (BAD_INITIAL_STATE)
+      write (output_unit, "(2(a, es11.4))") "granumat: PROPS(2) stiffness =", props(P_STIFFNESS), &
+        "; the pressure, in the same unit, is that of PROPS(7) or of STRESS; phi =", props(P_PHI)
+    case default             ! the message says it all
+    end select
+  end subroutine speak
 
 end module granumat_umat
 
@@ -298,7 +358,7 @@ subroutine umat(stress, statev, ddsdde, sse, spd, scd, rpl, ddsddt, drplde, drpl
     layer, kspt, kstep, kinc)
   use granumat_kinds, only: dp
   use granumat_status, only: OK
-  use granumat_umat, only: advance, CUTBACK
+  use granumat_umat, only: advance, speak, CUTBACK, SET_UP
   implicit none (type, external)
   integer, intent(in) :: ndi, nshr, ntens, nstatv, nprops, noel, npt, layer, kspt, kstep, kinc
   real(dp), intent(inout) :: stress(ntens), statev(nstatv), ddsdde(ntens, ntens)
@@ -311,7 +371,9 @@ subroutine umat(stress, statev, ddsdde, sse, spd, scd, rpl, ddsddt, drplde, drpl
   integer :: status
 
   call advance(props, dstran, drot, dfgrd0, dfgrd1, stress, statev, ddsdde, status)
-  if (status /= OK .and. present(pnewdt)) pnewdt = CUTBACK
+  if (status == OK) return
+  if (any(status == SET_UP)) call speak("UMAT", status, props, ntens, nstatv)    ! many hosts do not look at PNEWDT
+  if (present(pnewdt)) pnewdt = CUTBACK
 end subroutine umat
 
 !> SDVINI: every state is to start itself.

@@ -23,9 +23,10 @@ GUARD = np.full(4, 0x7FF4_DEAD_BEEF_CAFE, np.uint64).view(float)       # a signa
 EYE = np.eye(3)
 
 
-def properties(mu=0.5, stiffness=1.0, closure=3, contact=0, elastic_strain=0.0, phi=0.60, pressure=0.0, spin=0, calibration=0):
+def properties(mu=0.5, stiffness=1.0, closure=3, contact=0, elastic_strain=0.0, phi=0.60, pressure=0.0, spin=0, calibration=0,
+               order=0):
     """PROPS by name."""
-    return np.array([mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration], float)
+    return np.array([mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration, order], float)
 
 
 class Guarded:
@@ -109,3 +110,38 @@ def statev_of(state):
     statev[FABRIC], statev[DIRECTION], statev[STRESS] = state["fabric"], state["direction"], state["stress"]
     statev[Z2], statev[PHI] = state["coordination_number"], state["volume_fraction"]
     return statev
+
+
+class StressControl:
+    """A point under prescribed stresses by Newton's method with the whole tangent and no line search.
+
+    Each row asks first for the tangent at DSTRAN = 0, as incrementalDriver does.
+
+    Attributes
+    ----------
+    stress, statev : arrays (6,), (23,)
+    iterations, missed : int
+        Calls with a strain, and rows whose stress was not reached.
+    """
+
+    TOLERANCE, MOST_ITERATIONS = 1e-8, 20          # of the stress asked for
+
+    def __init__(self, props):
+        self.props, self.iterations, self.missed = props, 0, 0
+        start = call(np.zeros(6), np.zeros(N_STATEV), np.zeros(6), props)
+        self.stress, self.statev = start.stress, start.statev
+
+    def go_to(self, target):
+        """One row; the last iterate stands where it does not converge."""
+        dstran = np.zeros(6)
+        result = call(self.stress, self.statev, dstran, self.props)
+        for _ in range(self.MOST_ITERATIONS):
+            dstran = dstran + np.linalg.solve(result.ddsdde, target - result.stress)
+            result = call(self.stress, self.statev, dstran, self.props)
+            self.iterations += 1
+            if result.status or np.abs(result.stress - target).max() < self.TOLERANCE * np.abs(target).max():
+                break
+        else:
+            self.missed += 1
+        self.missed += result.status > 0
+        self.stress, self.statev = result.stress, result.statev

@@ -16,17 +16,16 @@ int main(void)
         return 1;
 
     struct granumat_state old[POINTS], new_states[POINTS];
-    double eta[POINTS], gradient[POINTS][3][3], tangent[POINTS][6][6];
-    memset(old, 0, sizeof old);
+    double gradient[POINTS][3][3], tangent[POINTS][6][6];
+    int status[POINTS];
     memset(gradient, 0, sizeof gradient);
     for (int i = 0; i < POINTS; i++) {
-        old[i].volume_fraction = 0.59 + 0.005 * i;
-        old[i].coordination_number = par.Zc + 1;
+        granumat_isotropic_state(&par, 0.59 + 0.005 * i, 0.005, &old[i], &status[i]);
+        if (status[i])
+            return 1;
         gradient[i][0][2] = 0.01;                          /* du_x/dz */
     }
-    granumat_evaluate_stress(POINTS, &par, old, eta);                 /* the stress of these isotropic packings */
 
-    int status[POINTS];
     for (int k = 0; k < INCREMENTS; k++) {
         granumat_update_states_with_tangent(POINTS, 2, 6, 6, &par, old, gradient, new_states, status, &tangent[0][0][0]);
         for (int i = 0; i < POINTS; i++)

@@ -13,7 +13,8 @@ import granumat
 
 CCX = Path(__file__).resolve().parents[3] / "build/calculix/ccx"
 LIBRARY = Path(granumat.__file__).parents[2]    # of the build that Python imports: libGRANUMAT.so
-CONSTANTS = ("mu", "stiffness", "closure", "contact", "elastic_strain", "phi", "pressure", "spin", "calibration")   # PROPS
+CONSTANTS = ("mu", "stiffness", "closure", "contact", "elastic_strain", "phi", "pressure", "spin", "calibration",
+             "order")                           # PROPS
 N_STATEV = 23
 
 CORNERS = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])

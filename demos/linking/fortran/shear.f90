@@ -4,8 +4,8 @@ program shear
   implicit none (type, external)
   external :: umat
   integer, parameter :: NTENS = 6, NSTATV = 23, INCREMENTS = 100
-  ! mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration
-  real(dp), parameter :: PROPS(9) = [0.5_dp, 1.0e6_dp, 3.0_dp, 0.0_dp, 0.01_dp, 0.60_dp, 5.0e3_dp, 2.0_dp, 0.0_dp]
+  ! mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration, order
+  real(dp), parameter :: PROPS(10) = [0.5_dp, 1.0e6_dp, 3.0_dp, 0.0_dp, 0.01_dp, 0.60_dp, 5.0e3_dp, 2.0_dp, 0.0_dp, 0.0_dp]
   real(dp) :: stress(NTENS), statev(NSTATV), ddsdde(NTENS, NTENS), dstran(NTENS), drot(3, 3), dfgrd0(3, 3), dfgrd1(3, 3)
   real(dp) :: unused(NTENS), time(2), energies(3), zero, pnewdt, gamma
   integer :: k

@@ -58,8 +58,8 @@
   [sand]
     type = AbaqusUMATStress
     plugin = './granumat'
-    # mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration
-    constant_properties = '0.5 1e6 3 0 0.01 0.60 5e3 2 0'
+    # mu, stiffness, closure, contact, elastic_strain, phi, pressure, spin, calibration, order
+    constant_properties = '0.5 1e6 3 0 0.01 0.60 5e3 2 0 0'
     num_state_vars = 23
     use_one_based_indexing = true
     use_displaced_mesh = true
