@@ -5,10 +5,32 @@ missing=
 for package in "$@"; do
   dpkg-query -W -f '${db:Status-Status}' "$package" 2>/dev/null | grep -qx installed || missing="$missing $package"
 done
-if [ -n "$missing" ]; then
-  sudo=
-  [ "$(id -u)" = 0 ] || sudo=sudo
-  echo "Installing Debian packages${sudo:+ with sudo}:$missing"
-  $sudo apt-get -qq update
-  $sudo env DEBIAN_FRONTEND=noninteractive apt-get -qq -y --no-install-recommends install $missing >/dev/null
+[ -n "$missing" ] || exit 0
+
+sudo=
+[ "$(id -u)" = 0 ] || sudo=sudo
+echo "Debian packages are missing, to be installed${sudo:+ with sudo}:$missing"
+if [ -n "$sudo" ] && ! { type sudo && sudo -v; } >/dev/null; then
+  cat >&2 <<END
+Nothing was installed or built, as this takes root or sudo. An administrator may run
+
+  apt-get update && apt-get install --no-install-recommends$missing
+
+after which this goes on without root. Or install granumat with pip, which needs no packages of Debian's: docs/installing.md.
+END
+  exit 1
 fi
+
+log=$(mktemp)
+trap 'rm "$log"' EXIT
+quietly() {
+  $sudo env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive apt-get -qq --no-install-recommends "$@" >"$log" 2>&1 || {
+    cat "$log" >&2
+    exit 1
+  }
+}
+quietly update
+env LC_ALL=C.UTF-8 apt-get --assume-no --no-install-recommends install $missing 2>&1 |
+  sed -n 's/^\(Need to get .*\)\.$/\1, /p; s/^After this operation, \(.*\) of additional .*/\1 on disk; this takes some minutes/p' | tr -d '\n'
+echo
+quietly -y install $missing

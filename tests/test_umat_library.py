@@ -205,7 +205,7 @@ def test_the_header_declares_what_the_library_has(tmp_path):
 
 def exported():
     """Names in the core library."""
-    return {name for _, name in symbols("-D", "--defined-only", BUILD / "python" / "granumat" / "libgranumat_core.so")}
+    return {name for _, name in symbols("-D", "--defined-only", BUILD / "python/granumat/lib/libgranumat_core.so")}
 
 
 def test_the_fortran_interface_has_every_procedure_and_agrees_with_python(prefix, tmp_path):
@@ -226,7 +226,7 @@ def test_the_fortran_interface_has_every_procedure_and_agrees_with_python(prefix
 @pytest.mark.parametrize("closure", CLOSURES)
 @pytest.mark.parametrize("contact", CONTACTS)
 def test_states_to_start_from_are_those_of_python(closure, contact):
-    core = ctypes.CDLL(str(BUILD / "python/granumat/libgranumat_core.so"))
+    core = ctypes.CDLL(str(BUILD / "python/granumat/lib/libgranumat_core.so"))
     material = Material(0.5, closure, contact)
 
     def state(name, *numbers):

@@ -12,7 +12,7 @@ import pytest
 
 import granumat
 
-LIBRARIES = sorted(Path(granumat.__file__).parent.glob("glibc-hwcaps/x86-64-v[34]/libgranumat_core.so"))
+LIBRARIES = sorted(Path(granumat.__file__).parent.glob("lib/glibc-hwcaps/x86-64-v[34]/libgranumat_core.so"))
 MODULES = "law|stress|state|fabric|coordination|relaxation|substeps|tangent|update|quadrature|tensors"
 ROUTINE = re.compile(rf"^[0-9a-f]+ <__granumat_({MODULES})_MOD_(\w+).*>:$")
 ARITHMETIC = re.compile(r"^ +[0-9a-f]+:\s+v(?:add|sub|mul|div|fn?m(?:add|sub)\d+)([ps])d\s(.*)$")

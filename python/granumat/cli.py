@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
-from . import __version__, driver, quantities
+from . import __version__, driver, installed, quantities
 from .errors import GranumatError
 from .paths import read_path_file
 from .studies.cases import CASES
@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     def command(name: str, run: Callable[[argparse.Namespace], None], words: str) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=words, description=words)
         added.set_defaults(run=run)
-        if run is not run_bench:
+        if run not in (run_bench, run_umat):
             added.add_argument("--out", type=Path, required=True, help="directory for what is written")
         return added
 
@@ -81,6 +81,9 @@ def _parser() -> argparse.ArgumentParser:
                       help="time a finite-element problem instead, and draw it into DIR (.)")
     kind.add_argument("--quick", action="store_true",
                       help="all tables from few, small measurements in a minute at most; ratios are rough")
+    which = command("umat", run_umat, "where the files for other codes are, all or one").add_mutually_exclusive_group()
+    for name, (_, words) in installed.FILES.items():
+        which.add_argument(f"--{name}", dest="name", action="store_const", const=name, help=words)
     return parser
 
 
@@ -116,7 +119,7 @@ def run_point(options: argparse.Namespace) -> None:
 
 def run_solve(options: argparse.Namespace) -> None:
     """Run `granumat solve`; the first rank speaks for all."""
-    scene = _import_scenes("solve").scene
+    from .fem import scene
     problem, written = _on_all_ranks(options, lambda: scene.solve(options.scene, options.out, options.resume, progress=sys.stderr))
     if not options.quiet:
         print(f"t = {problem.t:g} after {problem.increments} increments")
@@ -130,22 +133,13 @@ def run_ladder(options: argparse.Namespace) -> None:
     def climb() -> ladder.Report:
         return ladder.climb(options.file, options.tolerance, options.out, options.budget, progress=sys.stderr)
     if ladder.is_scene(options.file):
-        _import_scenes("ladder of a scene")
+        from . import fem  # noqa: F401 - fails in words where DOLFINx is missing
         _on_all_ranks(options, climb)
     elif not _is_idle_rank(options):
         climb()
     if not options.quiet:
         print((options.out / "ladder.txt").read_text(encoding="utf-8"))
         _say_written(options.out / name for name in ladder.FILES)
-
-
-def _import_scenes(command: str) -> Any:
-    try:
-        from . import fem
-        from .fem import scene  # noqa: F401
-    except ImportError as error:
-        raise ImportError(f"granumat {command} needs DOLFINx (Debian: python3-dolfinx): {error}") from None
-    return fem
 
 
 def _is_idle_rank(options: argparse.Namespace) -> bool:
@@ -208,6 +202,15 @@ def run_bench(options: argparse.Namespace) -> None:
     else:
         from .studies.bench import print_ratios
         print_ratios(options.quick)
+
+
+def run_umat(options: argparse.Namespace) -> None:
+    """Run `granumat umat`."""
+    if options.name:
+        print(installed.find(options.name))
+    else:
+        for name in installed.FILES:
+            print(f"{name:10} {installed.find(name)}")
 
 
 def run_wellposed(options: argparse.Namespace) -> None:

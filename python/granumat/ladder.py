@@ -449,8 +449,5 @@ def is_scene(file: str | Path) -> bool:
 
 
 def _scene_runner(file: Path) -> Runner:
-    try:
-        from .fem.ladder import SceneRunner
-    except ImportError as error:
-        raise ImportError(f"a scene's ladder needs DOLFINx (Debian: python3-dolfinx): {error}") from None
+    from .fem.ladder import SceneRunner
     return SceneRunner(file)

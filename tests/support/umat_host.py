@@ -7,9 +7,10 @@ import numpy as np
 from scipy.linalg import expm
 
 import granumat
+from granumat import installed
 
 BUILD = Path(granumat.__file__).parents[2]
-LIBRARY = ctypes.CDLL(str(BUILD / "libGRANUMAT.so"))
+LIBRARY = ctypes.CDLL(str(installed.find("library")))
 ORDER = ("stress", "statev", "ddsdde", "sse", "spd", "scd", "rpl", "ddsddt", "drplde", "drpldt", "stran", "dstran", "time", "dtime",
          "temp", "dtemp", "predef", "dpred", "cmname", "ndi", "nshr", "ntens", "nstatv", "props", "nprops", "coords", "drot",
          "pnewdt", "celent", "dfgrd0", "dfgrd1", "noel", "npt", "layer", "kspt", "kstep", "kinc")
