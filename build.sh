@@ -11,10 +11,10 @@ for preset in "$@"; do
   esac
 done
 
-# openssh-client: Open MPI looks for ssh even on one machine.
+# openssh-client: Open MPI looks for ssh even on one machine. MORE_PACKAGES: what the caller needs.
 ./install-packages.sh gfortran gcc libc6-dev cmake ninja-build python3 python3-dev \
   python3-numpy python3-scipy python3-matplotlib python3-pytest \
-  python3-dolfinx libopenblas0 openssh-client
+  python3-dolfinx libopenblas0 openssh-client ${MORE_PACKAGES-}
 
 for preset in "${@:-release}"; do
   echo "Building granumat into build/$preset, at most a minute"

@@ -9,18 +9,18 @@ done
 
 sudo=
 [ "$(id -u)" = 0 ] || sudo=sudo
-echo "Debian packages are missing, to be installed${sudo:+ with sudo}:$missing"
 if [ -n "$sudo" ] && ! { type sudo && sudo -v; } >/dev/null; then
   cat >&2 <<END
-Nothing was installed or built, as this takes root or sudo. An administrator may run
+Debian packages are missing, which takes root or sudo to install, so nothing was built. An administrator may run
 
   apt-get update && apt-get install --no-install-recommends$missing
 
-after which this goes on without root. Or install granumat with pip, which needs no packages of Debian's: docs/installing.md.
+after which this goes on without root. Or install granumat with pip, without root where there is a compiler: docs/installing.md.
 END
   exit 1
 fi
 
+echo "Installing Debian packages${sudo:+ with sudo}:$missing"
 log=$(mktemp)
 trap 'rm "$log"' EXIT
 quietly() {

@@ -5,7 +5,7 @@ set -eu
 cd "$(dirname "$0")/.."
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
-./install-packages.sh python3-gmsh python3-sphinx python3-myst-parser python3-numpydoc furo libjs-katex
+export MORE_PACKAGES="python3-gmsh python3-sphinx python3-myst-parser python3-numpydoc furo libjs-katex"
 
 tests_of() {
   build=$1

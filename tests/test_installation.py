@@ -108,7 +108,7 @@ def test_without_dolfinx_a_scene_says_in_one_sentence_what_to_install(module, tm
         said = run(sys.executable, "-c", f"import sys; sys.modules['{module}'] = None\n"
                    f"from granumat.cli import main; sys.exit(main({words}))", status=2)
         assert said.startswith("granumat: granumat.fem needs DOLFINx with PETSc: install Debian's python3-dolfinx")
-        assert "granumat[fem]" in said and module in said and said.count("\n") == 1
+        assert re.search(r"or granumat\[fem\] by pip .* \((No module named|import of) .*\)\n$", said) and said.count("\n") == 1
 
 
 @pytest.mark.parametrize("name, contents", [("sudo", "exit 1"), ("type", "")])
@@ -121,7 +121,7 @@ def test_without_root_the_missing_packages_are_named_before_anything_is_done(tmp
     for needed in ("grep", "cat"):
         (tmp_path / needed).symlink_to(shutil.which(needed))
     said = run("/bin/sh", ROOT / "install-packages.sh", "one", "two", status=1, env={"PATH": str(tmp_path)})
-    assert "Nothing was installed or built" in said
+    assert "so nothing was built" in said
     assert "apt-get update && apt-get install --no-install-recommends one two\n" in said and "docs/installing.md" in said
 
 

@@ -10,9 +10,9 @@ place=$root/build/calculix
 [ ! -x "$place/ccx" ] || exit 0
 
 # The mirror that apt has, in an apt configuration of its own.
-work=$place/work
-rm -rf "$work"
-mkdir -p "$work/lists/partial" "$work/cache/archives/partial"
+work=$(mktemp -d)  # its makefiles take no path with a blank
+trap 'rm -rf "$work"' EXIT
+mkdir -p "$place" "$work/lists/partial" "$work/cache/archives/partial"
 cd "$work"
 mirror=$(apt-get indextargets --format '$(REPO_URI)' 'Created-By: Packages' 'Component: main' | grep -m1 '/debian/$') || exit 69
 for type in deb deb-src; do
@@ -42,4 +42,3 @@ DEB_BUILD_OPTIONS="parallel=$(nproc)" DEB_CFLAGS_STRIP=-g DEB_FFLAGS_STRIP=-g DE
   DEB_CFLAGS_APPEND="-w -O1 -std=gnu99 -Wno-implicit-function-declaration -Wno-incompatible-pointer-types $flag" \
   debian/rules build >> "$place/log" 2>&1
 mv ccx_2.20/src/ccx_2.20 "$place/ccx"
-rm -rf "$work"
