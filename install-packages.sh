@@ -20,17 +20,15 @@ END
   exit 1
 fi
 
-echo "Installing Debian packages${sudo:+ with sudo}:$missing"
+echo "Installing Debian packages${sudo:+ with sudo}, at most some minutes:$missing"
 log=$(mktemp)
 trap 'rm "$log"' EXIT
+apt() {
+  $sudo env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive apt-get -y --no-install-recommends "$@" 2>&1
+}
 quietly() {
-  $sudo env LC_ALL=C.UTF-8 DEBIAN_FRONTEND=noninteractive apt-get -qq --no-install-recommends "$@" >"$log" 2>&1 || {
-    cat "$log" >&2
-    exit 1
-  }
+  apt "$@" >"$log" || { cat "$log" >&2; exit 1; }
 }
 quietly update
-env LC_ALL=C.UTF-8 apt-get --assume-no --no-install-recommends install $missing 2>&1 |
-  sed -n 's/^\(Need to get .*\)\.$/\1, /p; s/^After this operation, \(.*\) of additional .*/\1 on disk; this takes some minutes/p' | tr -d '\n'
-echo
-quietly -y install $missing
+apt --download-only install $missing | sed -nu '/^Need to get /p; /^After this operation, /p'
+quietly install $missing
