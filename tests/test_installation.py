@@ -44,9 +44,9 @@ def program(tmp_path_factory):
 
 
 def test_the_installed_program_runs_a_sample_path_in_an_empty_environment(program, tmp_path):
-    imported = Path(run(program, "umat", "--cmake", env={}).strip()).parents[2]
-    sample, = {*imported.rglob("granumat/paths/reversal.toml"), *imported.rglob("paths/reversal.toml")}
-    assert list(sample.parents[1].glob("scenes/annulus.toml"))
+    prefix = Path(run(program, "umat", "--cmake", env={}).strip()).parents[2]
+    sample, = prefix.rglob("paths/reversal.toml")
+    assert (sample.parents[1] / "scenes/annulus.toml").exists()
     printed = run(program, "point", sample, "--out", tmp_path / "out", env={"HOME": str(tmp_path)})
     assert "history.csv" in printed and (tmp_path / "out/history.png").exists()
 
