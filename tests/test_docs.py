@@ -82,7 +82,7 @@ def test_the_path_file_with_every_key_has_all_steps(tmp_path):
     (tmp_path / "path.toml").write_text(blocks("docs/point.md", "toml")[0])
     np.savetxt(tmp_path / "table.csv", [[0, 0.007], [0.1, 0.008]], delimiter=",", header="gamma,p", comments="")
     path = read_path_file(tmp_path / "path.toml")
-    assert len(path.steps) == 4 + 8 + 2
+    assert len(path.steps) == 4 + 8 + 2 + 2 + 6 + 4
 
 
 def test_the_scene_file_with_every_key_runs(tmp_path):

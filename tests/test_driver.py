@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from granumat import ConstrainedDeformationWarning, Material, PathError, driver, tensors
+from granumat.progress import Progress
 from support import reference
 
 HOLD = 1e-9      # of the stress held: ten times path.f90's STRESS_TOLERANCE
@@ -211,9 +212,9 @@ def test_material_failure_in_a_path_is_reported_with_its_history(material):
 
 def test_faulty_steps_name_every_fault():
     with pytest.raises(ValueError) as caught:
-        driver.Step("odd", [[1, 2], [3, 4]], np.nan, 0, ("e_xx", "e_q"), {"sigma_xx": "keep"}, "q < 1")
+        driver.Step("odd", [[1, 2], [3, 4]], np.nan, 0, ("e_xx", "e_q"), {"sigma_xx": "keep"}, "r < 1")
     for words in ("increments = 0", "strain = nan", "3 x 3 matrix", "'e_q': must be a linear combination of e_xx", "'keep'",
-                  "2 free deformations (e_xx, e_q) against 1 stress conditions", "until 'q < 1'"):
+                  "2 free deformations (e_xx, e_q) against 1 stress conditions", "until 'r < 1'"):
         assert words in str(caught.value)
     with pytest.raises(ValueError, match="not independent"):
         driver.Step("odd", free=("e_xx", "2*e_xx"), stress={"p": "hold", "sigma_xx": "hold"})
@@ -224,16 +225,19 @@ def test_faulty_steps_name_every_fault():
 def test_history_signs_and_columns(material, tmp_path):
     history = driver.run(material, material.steady(0.60), [driver.shear(0.01, increments=2)], tmp_path)
     header = (tmp_path / "history.csv").read_text().splitlines()[0]
-    assert header == ("step,gamma,gamma_total,phi,p,stress_ratio,Z2,A_xx,A_yy,A_zz,A_xy,A_xz,A_yz,"
-                      "sigma_xx,sigma_yy,sigma_zz,sigma_xy,sigma_xz,sigma_yz,eta,dilatancy,eta_t")
+    assert header == ("step,gamma,gamma_total,e_xx,e_yy,e_zz,e_xy,e_xz,e_yz,volume_strain,phi,p,q,q_over_p,stress_ratio,Z2,"
+                      "A_xx,A_yy,A_zz,A_xy,A_xz,A_yz,sigma_xx,sigma_yy,sigma_zz,sigma_xy,sigma_xz,sigma_yz,"
+                      "eta,dilatancy,eta_t,tau_over_sigma_n")
     assert history["stress_ratio"][-1] > 0 and history["A_xz"][-1] < 0 and history["sigma_xz"][-1] < 0
     assert history["p"][-1] == pytest.approx((history["sigma_xx"] + history["sigma_yy"] + history["sigma_zz"])[-1] / 3)
     assert history["eta"][-1] == pytest.approx(history["stress_ratio"][-1], rel=1e-12)       # a3, a4 do not act on xz in shear
 
 
-def test_progress_counts_the_increments_of_steps_and_tables(material):
+def test_progress_counts_the_increments_of_steps_and_tables(material, monkeypatch):
+    monkeypatch.setattr(Progress, "QUIET_SECONDS", 0)
     said = io.StringIO()
     steps = [driver.shear(0.1, increments=300), driver.Step("table", table=np.zeros((501, 9)))]
-    driver.run(material, material.steady(0.60), steps, progress=driver.Progress(steps, said, quiet_seconds=0))
+    driver.run(material, material.steady(0.60), steps, progress=said)
+    assert said.getvalue().startswith("step 1 of 2, increment 100 of 300: 12%, ")
     shares = [line.split(": ")[1].split(",")[0] for line in said.getvalue().splitlines()]
     assert shares == ["12%", "25%", "38%", "50%", "62%", "75%", "88%", "100%"]

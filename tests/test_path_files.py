@@ -60,6 +60,9 @@ def test_the_example_runs_as_its_steps_say(tmp_path):
     "test = \"biaxial-undrained\"\ncompression = 0.01",
     "test = \"triaxial-drained\"\ncompression = 0.01",
     "test = \"triaxial-undrained\"\ncompression = 0.01",
+    "test = \"oedometer\"\ncompression = 0.001\nuntil = \"q/p > 5\"",
+    "test = \"dss\"\nstrain = 0.1",
+    "test = \"dss-cyclic\"\nnumber = 2\namplitude = 0.01\ncontrol = \"normal-load\"",
     "velocity_gradient = [[0, 0, 1], [0, 0, 0], [0, 0, 0]]\nstrain = 0.1\nfree = [\"e_xx + e_yy\"]\nstress = { \"p\" = \"hold\" }",
 ])
 @pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
@@ -69,6 +72,81 @@ def test_every_kind_of_step_runs(tmp_path, step):
         history = run(tmp_path, f"[material]\nmu = 0.5\nelastic_strain = 0.005\n[initial]\n{initial}\n[[step]]\n{step}\n")
         assert len(history) > 5
         assert all(np.isfinite(history[name][1:]).all() for name in driver.COLUMNS if name != "dilatancy")
+
+
+SAND = Material(0.5, elastic_strain=0.001)
+RESTING = "[material]\nmu = 0.5\nelastic_strain = 0.001\n[initial]\nphi = 0.60\nstate = \"isotropic\"\npressure = 0.005\n"
+
+
+@pytest.mark.parametrize("step, made", [
+    ("test = \"oedometer\"\nsigma_zz = 0.007", [driver.oedometer(sigma_zz=0.007)]),
+    ("test = \"dss\"\nstrain = 0.1", [driver.shear(0.1, "normal-load")]),
+    ("test = \"dss\"\nstrain = 0.1\ncontrol = \"volume\"", [driver.shear(0.1)]),
+    ("test = \"dss-cyclic\"\nnumber = 2\namplitude = 0.01",
+     [driver.shear(strain, increments=100) for strain in (0.01, -0.02, 0.02, -0.02)]),
+    ("test = \"dss-cyclic\"\nnumber = 1\nstress_amplitude = 0.0005", driver.cyclic_direct_shear(1, stress_amplitude=0.0005)),
+    ("test = \"triaxial-cyclic-undrained\"\nnumber = 2\nstress_amplitude = 0.001", driver.cyclic_triaxial(2, 0.001, drained=False)),
+    ("test = \"triaxial-cyclic-drained\"\nnumber = 1\nstress_amplitude = 0.001", driver.cyclic_triaxial(1, 0.001)),
+])
+@pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
+def test_a_ready_test_is_the_steps_that_its_name_means(tmp_path, step, made):
+    history = run(tmp_path, f"{RESTING}[[step]]\n{step}\n")
+    expected = driver.run(SAND, SAND.isotropic(0.60, pressure=0.005), made)
+    assert (history.states == expected.states).all() and len(history) > 99
+
+
+@pytest.mark.parametrize("drained, control", [(True, "normal-load"), (False, "volume")])
+@pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
+def test_cycles_of_controlled_stress_reach_it_on_both_sides_and_hold_the_rest(drained, control):
+    start = SAND.isotropic(0.60, pressure=0.005)
+    triaxial = driver.run(SAND, start, driver.cyclic_triaxial(3, 0.001, drained))
+    ends = np.flatnonzero(np.diff(triaxial["step"], append=99))[1:]
+    deviator = triaxial["sigma_zz"] - (triaxial["sigma_xx"] + triaxial["sigma_yy"]) / 2
+    np.testing.assert_allclose(deviator[ends], [0.001, -0.001] * 3, rtol=1e-6)
+    held = (triaxial["sigma_xx"] + triaxial["sigma_yy"]) / 2 - 0.005 if drained else triaxial["volume_strain"]
+    np.testing.assert_allclose(held, 0, atol=1e-11)
+    np.testing.assert_allclose(triaxial["e_xx"], triaxial["e_yy"], atol=1e-12)
+    shear = driver.run(SAND, start, driver.cyclic_direct_shear(3, stress_amplitude=0.0005, control=control))
+    np.testing.assert_allclose(-shear["sigma_xz"][ends], [0.0005, -0.0005] * 3, rtol=1e-6)
+    np.testing.assert_allclose(shear["sigma_zz"] - 0.005 if drained else shear["volume_strain"], 0, atol=1e-11)
+    assert (shear["e_xx"] == 0).all() and (shear["e_yy"] == 0).all()
+    np.testing.assert_allclose(shear["gamma"], 2 * shear["e_xz"], atol=1e-16)
+    for history in (triaxial, shear):
+        assert (history["p"][ends[-1]] < 0.995 * history["p"][0]) or drained
+
+
+def test_a_shear_that_is_found_keeps_the_planes_as_one_that_is_given():
+    start = SAND.isotropic(0.60, pressure=0.005)
+    given = driver.run(SAND, start, [driver.shear(0.02)])
+    step = driver.Step("stress", free=("gamma",), stress={"sigma_xz": given["sigma_xz"][-1]}, shear=True)
+    found = driver.run(SAND, start, [step])
+    assert found["gamma"][-1] == pytest.approx(0.02, rel=1e-5)
+    np.testing.assert_allclose(found.states.fabric[-1], given.states.fabric[-1], atol=1e-9)
+
+
+@pytest.mark.parametrize("step, words", [
+    ("test = \"dss\"", "strain is missing"),
+    ("test = \"dss\"\nstrain = 0.1\npressure = 1", "unknown key 'pressure': allowed with test"),
+    ("test = \"dss-cyclic\"\nnumber = 0\namplitude = 0.0", "(?s)number of cycles = 0: must be.*amplitude = 0.0: must be"),
+    ("test = \"dss-cyclic\"\nnumber = 1", "either amplitude or stress_amplitude"),
+    ("test = \"oedometer\"", "either compression or"),
+    ("test = \"triaxial-cyclic-drained\"", "(?s)number is missing.*stress_amplitude is missing"),
+    ("test = \"triaxial-cyclic-drained\"\nnumber = 2.5\nstress_amplitude = 0.1", "number of cycles = 2.5"),
+])
+def test_a_ready_test_with_wrong_keys_is_refused(tmp_path, step, words):
+    with pytest.raises(ValueError, match=words):
+        read_path_file(written(tmp_path, f"{RESTING}[[step]]\n{step}\n"))
+
+
+def test_the_words_for_phi_and_z2_are_accepted_in_their_place(tmp_path):
+    symbols, words = "phi = 0.6\nZ2 = 5.2", "volume_fraction = 0.6\ncoordination_number = 5.2"
+    step = "[[step]]\nshear = 0.1\n"
+    one, other = (run(tmp_path, f"[initial]\nstate = \"isotropic\"\n{names}\n{step}") for names in (symbols, words))
+    assert (one.states == other.states).all()
+    with pytest.raises(ValueError, match="volume_fraction is phi, which is given too"):
+        read_path_file(written(tmp_path, f"[initial]\nstate = \"steady\"\nphi = 0.6\nvolume_fraction = 0.6\n{step}"))
+    text = RESTING + step + "[[quantity]]\nname = \"a\"\nof = \"volume_fraction\"\n"
+    assert read_path_file(written(tmp_path, text)).quantities[0].of == "volume_fraction"
 
 
 def test_a_path_from_a_table(tmp_path):

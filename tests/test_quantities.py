@@ -93,7 +93,7 @@ def test_every_fault_comes_in_one_message(tmp_path):
     said = faults(tmp_path, 'name = "q"\nof = "pressure"\nwhere = 3', 'name = "q"\nof = "acoustic"\nat = "start"', "of = 3",
                   'name = "t"\nof = "p"\nat = [0.5, 1.5, 3]', 'name = "a/b"\nof = "p"\nat = [1, 0.5]\ntolerance = 2\nscale = 0')
     for words in ("quantity 1: cannot be evaluated", "unknown key 'where': allowed are name, of, at, tolerance, scale",
-                  "of = 'pressure': must be a column of the history, one of gamma, gamma_total, phi, p",
+                  "of = 'pressure': must be a column of the history, one of gamma, gamma_total, e_xx",
                   "the quantity 'q' is given 2 times", "of = 'acoustic': needs acoustic = true in [output]",
                   "at = 'start': must be a list of increasing times, or one of end, range", "quantity 3: cannot be evaluated",
                   "name is missing", "of = 3: must be a text in quotes", "name = 't': must begin with a letter",

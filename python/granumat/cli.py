@@ -101,9 +101,8 @@ def run_point(options: argparse.Namespace) -> None:
     """Run `granumat point`: history.csv, history.png, and the ends of the steps on screen."""
     from .plotting import history_figure
     path = read_path_file(options.path)
-    progress = driver.Progress(path.steps, sys.stderr)
     try:
-        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic,
+        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, sys.stderr, path.acoustic,
                              path.quantities)
     except GranumatError:
         print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
@@ -191,7 +190,7 @@ def run_stability(options: argparse.Namespace) -> None:
 def run_chart(options: argparse.Namespace) -> None:
     """Run `granumat chart`."""
     from .studies.chart import draw_chart, summary
-    print("\n" + summary(draw_chart(options.out, options.names)))
+    print("\n" + summary(draw_chart(options.out, options.names, sys.stdout)))
 
 
 def run_bench(options: argparse.Namespace) -> None:

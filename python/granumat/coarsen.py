@@ -110,12 +110,15 @@ def _critical(content: Content) -> Content:
     steps = content.get("step")
     if not steps or any(_frees(entry) for entry in steps) or content.get("initial", {}).get("state") != "isotropic":
         return content
-    return {**content, "initial": {key: value for key, value in content["initial"].items() if key not in ("pressure", "Z2")}}
+    given_otherwise = ("pressure", "Z2", "coordination_number")
+    return {**content, "initial": {key: value for key, value in content["initial"].items() if key not in given_otherwise}}
 
 
 def _frees(entry: Mapping[str, Any]) -> bool:
     """Whether a step of a path leaves a deformation free."""
-    is_free_test = str(entry.get("test")).endswith("-drained") or (entry.get("test") == "isotropic" and "pressure" in entry)
+    test = entry.get("test")
+    is_free_test = (str(test).endswith("-drained") or (test == "isotropic" and "pressure" in entry)
+                    or (test == "oedometer" and "sigma_zz" in entry) or (test == "dss" and "control" not in entry))
     return bool(entry.get("free")) or entry.get("control", "volume") != "volume" or is_free_test
 
 

@@ -9,7 +9,6 @@ needs no other import. Axes are x (flow), y (vorticity), z (gradient). Histories
 positive, in k/d (k_Hz for Hertzian contacts).
 """
 
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -25,6 +24,7 @@ from .errors import ConstrainedDeformationWarning, PathError
 from .history import ACOUSTIC, COLUMNS, STATE_COLUMNS, History, Recorder, state_columns, stop_condition
 from .material import Material
 from .paths import write_path_file
+from .progress import Progress
 from .quantities import QUANTITIES_FILE, Quantity, write_history
 from .steps import (
     CONTROLS,
@@ -34,22 +34,27 @@ from .steps import (
     biaxial,
     controlled,
     cycles,
+    cyclic_direct_shear,
+    cyclic_triaxial,
     deform,
+    direct_shear,
     isotropic_compression,
+    oedometer,
     pause,
     shear,
     triaxial,
 )
 
-__all__ = ["ACOUSTIC", "COLUMNS", "CONTROLS", "SHEAR", "STATE_COLUMNS", "TOLERANCE", "History", "Progress", "Step", "biaxial",
-           "controlled", "cycles", "deform", "isotropic_compression", "pause", "run", "shear", "state_columns", "triaxial"]
+__all__ = ["ACOUSTIC", "COLUMNS", "CONTROLS", "SHEAR", "STATE_COLUMNS", "TOLERANCE", "History", "Step", "biaxial",
+           "controlled", "cycles", "cyclic_direct_shear", "cyclic_triaxial", "deform", "direct_shear", "isotropic_compression",
+           "oedometer", "pause", "run", "shear", "state_columns", "triaxial"]
 
 TRACE_LIMIT = 0.5           # abs(tr D^) above which a deformation counts as constrained; the paper asks for << 1
 CHUNK = 100                 # increments between two checks of the stop condition
 
 
 def run(material: Material, state: np.record, steps: Sequence[Step], out: str | Path | None = None, tolerance: float = TOLERANCE,
-        progress: Callable[[int, int, int], None] | None = None, acoustic: bool = False,
+        progress: TextIO | None = None, acoustic: bool = False,
         quantities: Sequence[Quantity] = ()) -> History:
     """Follow a load path: run steps one after the other.
 
@@ -65,8 +70,8 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
     tolerance : float
         Largest error of what evolves (fabric/kappa, Z2 and phi; in the critical closure phi and, with e_r > 0, the stress over its
         largest component) in a substep where stresses are held, in (0, 1).
-    progress : function of (step, increments done, increments), optional
-        Called after every hundred increments.
+    progress : text stream, optional
+        Where a line with the remaining time is written every few seconds.
     acoustic : bool
         Whether the history has the column "acoustic", the smallest eigenvalue of Material.ellipticity: 0.05 to 0.2 ms a row,
         some fifty times what the row itself takes.
@@ -92,9 +97,14 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
     if not is_number(tolerance) or not 0 < tolerance < 1:
         raise ValueError(f"tolerance = {tolerance!r}: must be a number in (0, 1)")
     recorder = Recorder(material, state, acoustic)
+    lengths, show = [len(step) for step in steps], Progress(progress)
+
+    def show_progress(number: int, done: int) -> None:
+        show(f"step {number} of {len(steps)}, increment {done} of {lengths[number - 1]}",
+             (sum(lengths[:number - 1]) + done) / sum(lengths))
     failure = None
     for number, step in enumerate(steps, 1):
-        failure = _run_step(recorder, number, step, tolerance, progress)
+        failure = _run_step(recorder, number, step, tolerance, None if progress is None else show_progress)
         if failure:
             break
     history = recorder.history()
@@ -119,13 +129,13 @@ class _Failure(NamedTuple):
 
 
 def _run_step(recorder: Recorder, number: int, step: Step, tolerance: float,
-              progress: Callable[[int, int, int], None] | None) -> _Failure | None:
+              show_progress: Callable[[int, int], None] | None) -> _Failure | None:
     """Append the states after the increments of a step, in chunks."""
     gradients, modes, functionals = step.gradients(), step.modes, step.functionals
     targets = step.targets(recorder.state["stress"])
     condition = stop_condition(step.until) if step.until else None
     n = len(gradients)
-    chunk = CHUNK if condition or progress else n
+    chunk = CHUNK if condition or show_progress else n
     largest_trace = 0.0
     for first in range(0, n, chunk):
         last = min(first + chunk, n)
@@ -136,7 +146,8 @@ def _run_step(recorder: Recorder, number: int, step: Step, tolerance: float,
         if len(states):
             total = gradients[first:done] + np.tensordot(amplitudes, modes, 1)
             gamma = total[:, 0, 2] if step.shear else 2 * tensors.magnitude(tensors.symmetric(total))
-            recorder.append(number, number - 1 + np.arange(first + 1, done + 1) / n, states.view(np.ndarray), gamma)
+            recorder.append(number, number - 1 + np.arange(first + 1, done + 1) / n, states.view(np.ndarray), gamma,
+                            tensors.symmetric(total))
             stopped = condition is not None and recorder.stop_at(condition)
             largest_trace = max(largest_trace, _largest_trace(recorder.last_states, gamma))
         if stopped:
@@ -147,8 +158,8 @@ def _run_step(recorder: Recorder, number: int, step: Step, tolerance: float,
             return _Failure(message + _in_words(recorder.material, recorder.state),
                             replace(step, gradient=gradients[done], strain=1.0, increments=1, stress=stress, until="", table=None,
                                     shear=False))
-        if progress:
-            progress(number, last, n)
+        if show_progress:
+            show_progress(number, last)
     if largest_trace > TRACE_LIMIT:
         warnings.warn(f"step {number} ({step.name}): abs(tr D^) reaches {largest_trace:.2f}; the paper's law is meant for "
                       "abs(tr D^) << 1, constrained deformations are outside what it was fitted to",
@@ -167,32 +178,3 @@ def _in_words(material: Material, state: np.void) -> str:
     columns = state_columns(material, np.array(state, STATE).reshape(1))
     return ("state before it: " + ", ".join(f"{name} = {columns[name][0]:.6g}" for name in ("phi", "p", "stress_ratio", "Z2"))
             + f", abs(A) = {tensors.magnitude(state['fabric']):.4g}, Zc = {material['Zc']:.4g}")
-
-
-class Progress:
-    """Prints now and then how much of a path is done and the time to go; nothing for paths that take a few seconds.
-
-    Parameters
-    ----------
-    steps : list of Step
-    stream : text stream
-        Receives a line each time.
-    quiet_seconds : float
-        Time before the first line and between lines.
-    """
-
-    def __init__(self, steps: Sequence[Step], stream: TextIO, quiet_seconds: float = 2.0) -> None:
-        self.increments = [step.increments if step.table is None else len(step.table) - 1 for step in steps]
-        self.stream, self.quiet_seconds = stream, quiet_seconds
-        self.start = self.last = time.monotonic()
-
-    def __call__(self, step: int, done: int, increments: int) -> None:
-        """Take note that so many increments of a step (counted from 1) are done."""
-        now = time.monotonic()
-        if now - self.last < self.quiet_seconds:
-            return
-        self.last = now
-        share = (sum(self.increments[:step - 1]) + done) / sum(self.increments)
-        seconds = (now - self.start) * (1 - share) / share
-        print(f"step {step} of {len(self.increments)}, increment {done} of {increments}: {share:.0%}, {seconds:.0f} s to go",
-              file=self.stream, flush=True)

@@ -10,7 +10,7 @@ import numpy as np
 from . import steps
 from .checks import attempt, is_finite_number, is_number, refuse
 from .files import read_lines
-from .history import ACOUSTIC, COLUMNS
+from .history import ACOUSTIC, COLUMNS, column_name
 from .material import Material
 from .quantities import Quantity, are_same_times, read_quantities
 from .steps import TOLERANCE, Step
@@ -100,6 +100,14 @@ def read_material(content: Table) -> Material:
     return Material(**table_of(content, "material"))
 
 
+def initial_table(content: Table) -> dict[str, Any]:
+    """A file's table [initial] with the symbols phi and Z2 for their words, volume_fraction and coordination_number."""
+    table = table_of(content, "initial")
+    refuse("[initial]", [f"{key} is {column_name(key)}, which is given too" for key in table
+                         if column_name(key) != key and column_name(key) in table])
+    return {column_name(key): value for key, value in table.items()}
+
+
 def read_initial(material: Material | None, content: Table) -> np.record | None:
     """Read the state of a file's table [initial].
 
@@ -119,7 +127,7 @@ def read_initial(material: Material | None, content: Table) -> np.record | None:
     ValueError
         Names every mistake in the table.
     """
-    table = table_of(content, "initial")
+    table = initial_table(content)
     kind = table.get("state")
     if not isinstance(kind, str) or kind not in INITIAL:
         raise ValueError(f"[initial]: state = {kind!r}: must be one of {', '.join(INITIAL)}")
@@ -146,7 +154,7 @@ def _check_column(of: str, acoustic: object) -> None:
     """Raises ValueError where a quantity is of no column of the history."""
     if of == ACOUSTIC and acoustic is not True:
         raise ValueError(f"needs {ACOUSTIC} = true in [output]")
-    if of not in (*COLUMNS[1:], ACOUSTIC):
+    if column_name(of) not in (*COLUMNS[1:], ACOUSTIC):
         raise ValueError(f"must be a column of the history, one of {', '.join(COLUMNS[1:])}")
 
 
@@ -189,14 +197,14 @@ def _cycles(number: Any, directory: Path, amplitude: float, **options: Any) -> l
 
 
 def _test(name: str, directory: Path, **options: Any) -> list[Step]:
-    if name == "isotropic":
-        return [steps.isotropic_compression(**options)]
-    if "compression" not in options:
-        raise ValueError("compression is missing")
-    if "pressure" in options:
-        raise ValueError("pressure belongs to test = \"isotropic\"")
-    make, drained = TESTS[name]
-    return [make(drained=drained, **options)]
+    test = TESTS[name]
+    allowed = (*test.required, *test.optional)
+    faults = [f"unknown key {key!r}: allowed with test = {name!r} are {', '.join(allowed)}"
+              for key in options if key not in allowed]
+    faults += [f"{key} is missing" for key in test.required if key not in options]
+    refuse("cannot be made", faults)
+    made = test.make(**test.settings, **options)
+    return made if isinstance(made, list) else [made]
 
 
 def _pause(value: bool, directory: Path) -> list[Step]:
@@ -207,10 +215,26 @@ def _table(name: Any, directory: Path, free: tuple[str, ...] = (), until: str = 
     return [_from_csv(directory / str(name), tuple(free), until)]
 
 
-TESTS: dict[str, tuple[Callable[..., Step], bool]] = {
-    "isotropic": (steps.isotropic_compression, True),
-    "biaxial-drained": (steps.biaxial, True), "biaxial-undrained": (steps.biaxial, False),
-    "triaxial-drained": (steps.triaxial, True), "triaxial-undrained": (steps.triaxial, False),
+class _Test(NamedTuple):
+    """A ready test: the keys that it needs, those that it may have, and the function of `steps` that makes it of them."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...]
+    make: Callable[..., Step | list[Step]]
+    settings: dict[str, Any] = {}                     # noqa: RUF012 - of the function, beside the keys
+
+
+USUAL = ("increments", "until")
+TESTS = {
+    "isotropic": _Test((), ("compression", "pressure", *USUAL), steps.isotropic_compression),
+    "oedometer": _Test((), ("compression", "sigma_zz", *USUAL), steps.oedometer),
+    "dss": _Test(("strain",), ("control", *USUAL), steps.direct_shear),
+    "dss-cyclic": _Test(("number",), ("amplitude", "stress_amplitude", "control", *USUAL), steps.cyclic_direct_shear),
+} | {
+    f"{test}-{drainage}": _Test(required, USUAL, make, {"drained": drainage == "drained"})
+    for test, required, make in (("biaxial", ("compression",), steps.biaxial), ("triaxial", ("compression",), steps.triaxial),
+                                 ("triaxial-cyclic", ("number", "stress_amplitude"), steps.cyclic_triaxial))
+    for drainage in ("drained", "undrained")
 }
 
 
@@ -228,13 +252,14 @@ KINDS = {
     "pause": _Kind((), (), _pause),
     "velocity_gradient": _Kind((), ("strain", *CONTROL, "increments", "until"), _deformation),
     "cycles": _Kind(("amplitude",), ("control", "increments"), _cycles),
-    "test": _Kind((), ("compression", "pressure", "increments", "until"), _test),
+    "test": _Kind((), tuple(dict.fromkeys(key for test in TESTS.values() for key in (*test.required, *test.optional))), _test),
     "csv": _Kind((), ("free", "until"), _table),
 }
 # Keys whose values are checked here: the check, and what the value must be in words.
 CHECKS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "control": (lambda value: isinstance(value, str) and value in steps.CONTROLS, f"one of {', '.join(steps.CONTROLS)}"),
-    **dict.fromkeys(("shear", "strain", "amplitude", "compression", "pressure"), (is_finite_number, "a finite number")),
+    **dict.fromkeys(("shear", "strain", "amplitude", "stress_amplitude", "compression", "pressure", "sigma_zz"),
+                    (is_finite_number, "a finite number")),
     "free": (lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value), "a list of names"),
     "stress": (lambda value: isinstance(value, dict), "a table of values"),
     "until": (lambda value: isinstance(value, str), "a condition in quotes"),

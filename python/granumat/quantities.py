@@ -20,7 +20,7 @@ from .toml import tables_of
 QUANTITIES_FILE = "quantities.csv"
 KEYS = ("name", "of", "at", "tolerance", "scale")
 WORDS = ("end", "range")            # what `at` may be besides a list of times
-VOLUME_FRACTION = re.compile(r"(mean )?phi( |$)")
+VOLUME_FRACTION = re.compile(r"(mean )?(phi|volume_fraction)( |$)")
 SAME_TIME = 1e-9                    # over the larger of 1 and a time: times that differ by less are the same
 
 

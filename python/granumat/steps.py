@@ -28,8 +28,11 @@ CONTROLS = {
 
 # ---- names of strains and stresses ---------------------------------------------------------------------------------
 
-STRAINS = {f"e_{axis}": np.eye(6)[i] for i, axis in enumerate(tensors.AXES)}          # Voigt components of the free deformation
-STRAINS["volume_strain"] = tensors.IDENTITY / 3
+SHEAR = np.zeros((3, 3))
+SHEAR[0, 2] = 1.0           # du_x/dz
+
+STRAINS = {f"e_{axis}": tensors.to_matrix(np.eye(6)[i]) for i, axis in enumerate(tensors.AXES)}       # displacement gradients
+STRAINS |= {"volume_strain": np.eye(3) / 3, "gamma": SHEAR}
 STRESSES = {f"sigma_{axis}": np.eye(6)[i] for i, axis in enumerate(tensors.AXES)}     # weights of the stress's Voigt components
 STRESSES["p"] = tensors.IDENTITY / 3
 
@@ -43,19 +46,19 @@ def linear_combination(text: str, names: Mapping[str, np.ndarray]) -> np.ndarray
     ----------
     text : str
         Such as "0.5*e_xx - e_zz".
-    names : mapping of str to array (6,)
+    names : mapping of str to array (3, 3) or (6,)
         STRAINS or STRESSES.
 
     Returns
     -------
-    array (6,)
+    array (3, 3) or (6,)
 
     Raises
     ------
     ValueError
         If the text is no linear combination of these names, or is zero.
     """
-    total, position = np.zeros(6), 0
+    total, position = np.zeros_like(next(iter(names.values()))), 0
     while position < len(text.rstrip()):
         match = TERM.match(text, position)
         if not match or match[3] not in names or (position > 0 and not match[1]):
@@ -84,7 +87,8 @@ class Step:
     increments : int
         Number of equal increments.
     free : tuple of str
-        Deformations that are found: "e_xx" ... "e_yz", "volume_strain", or a linear combination such as "e_xx - e_zz".
+        Deformations that are found: "e_xx" ... "e_yz", "volume_strain", "gamma", or a linear combination such as "e_xx - e_zz".
+        "gamma" is the simple shear du_x/dz, "e_xz" a shear without rotation.
     stress : dict of str to float or "hold"
         As many conditions: "sigma_xx" ... "sigma_yz", "p", or a linear combination, and the value in k/d (compression positive)
         that it reaches, linearly, at the end of the step.
@@ -136,15 +140,20 @@ class Step:
         if len(self.free) != len(self.stress):
             faults.append(f"{len(self.free)} free deformations ({', '.join(self.free)}) against {len(self.stress)} stress "
                           f"conditions ({', '.join(self.stress)}): must be as many")
-        for kind, names, found in (("free deformations", self.free, modes), ("stress conditions", self.stress, functionals)):
+        strains = [tensors.symmetric(mode) for mode in modes if mode is not None]
+        for kind, names, found in (("free deformations", self.free, strains), ("stress conditions", self.stress, functionals)):
             vectors = [vector for vector in found if vector is not None]
             if vectors and np.linalg.matrix_rank(vectors) < len(vectors):
                 faults.append(f"{kind} {', '.join(names)}: not independent")
 
+    def __len__(self) -> int:
+        """The number of increments."""
+        return self.increments if self.table is None else len(self.table) - 1
+
     @property
     def modes(self) -> np.ndarray:
         """Free displacement gradients (m, 3, 3)."""
-        return np.array([tensors.to_matrix(linear_combination(text, STRAINS)) for text in self.free]).reshape(-1, 3, 3)
+        return np.array([linear_combination(text, STRAINS) for text in self.free]).reshape(-1, 3, 3)
 
     @property
     def functionals(self) -> np.ndarray:
@@ -190,9 +199,9 @@ def _is_gradient(value: ArrayLike) -> bool:
 
 # ---- the usual tests ---------------------------------------------------------------------------------------------------
 
-SHEAR = np.zeros((3, 3))
-SHEAR[0, 2] = 1.0           # du_x/dz
 AXIAL = np.diag([0.0, 0.0, -1.0])
+AXIAL_DEVIATOR = "sigma_zz - 0.5*sigma_xx - 0.5*sigma_yy"
+MEAN_OF_SIDES = "0.5*sigma_xx + 0.5*sigma_yy"
 
 
 def controlled(control: str) -> dict[str, Any]:
@@ -241,9 +250,14 @@ def cycles(amplitude: float, number: int, control: str = "volume", increments: i
     -------
     list of Step
     """
-    if not is_positive_integer(number):
-        raise ValueError(f"cycles = {number!r}: must be an integer, at least 1")
+    refuse("the cycles cannot be made", _faults_of_cycles(number))
     return [shear(sign * amplitude, control, increments) for _ in range(number) for sign in (1, -1)]
+
+
+def _faults_of_cycles(number: object, **amplitudes: object) -> list[str]:
+    faults = [] if is_positive_integer(number) else [f"number of cycles = {number!r}: must be an integer, at least 1"]
+    return faults + [f"{name} = {value!r}: must be a finite number other than 0" for name, value in amplitudes.items()
+                     if not is_finite_number(value) or value == 0]
 
 
 def deform(velocity_gradient: ArrayLike | Callable[[float], ArrayLike], strain: float = 1.0, control: str = "volume",
@@ -335,6 +349,114 @@ def triaxial(compression: float, drained: bool = True, increments: int = 200, un
     Step
     """
     if drained:
-        held = {"0.5*sigma_xx + 0.5*sigma_yy": "hold"}
-        return Step("drained triaxial", AXIAL, compression, increments, ("e_xx + e_yy",), held, until)
+        return Step("drained triaxial", AXIAL, compression, increments, ("e_xx + e_yy",), {MEAN_OF_SIDES: "hold"}, until)
     return Step("undrained triaxial", np.diag([0.5, 0.5, -1]), compression, increments, until=until)
+
+
+def cyclic_triaxial(number: int, stress_amplitude: float, drained: bool = True, increments: int = 100,
+                    until: str = "") -> list[Step]:
+    """Triaxial cycles under controlled stress: sigma_zz - (sigma_xx + sigma_yy)/2 goes to and fro between + and - an amplitude.
+
+    Parameters
+    ----------
+    number : int
+        Number of cycles, each of a step to the compression and a step to the extension.
+    stress_amplitude : float
+        In k/d.
+    drained : bool
+        True holds (sigma_xx + sigma_yy)/2, False the volume.
+    increments : int
+        Of each step.
+    until : str
+        As in Step, of each step.
+
+    Returns
+    -------
+    list of Step
+        Give the material an elastic strain: with e_r = 0 the stress jumps at each reversal.
+    """
+    refuse("the triaxial cycles cannot be made", _faults_of_cycles(number, stress_amplitude=stress_amplitude))
+    free = ("e_zz", "e_xx + e_yy") if drained else ("2*e_zz - e_xx - e_yy",)
+    held = {MEAN_OF_SIDES: "hold"} if drained else {}
+    name = "drained" if drained else "undrained"
+    return [Step(f"{name} triaxial to q = {q:g}", increments=increments, free=free, stress={AXIAL_DEVIATOR: q} | held, until=until)
+            for q in (stress_amplitude, -stress_amplitude) * number]
+
+
+def oedometer(compression: float | None = None, sigma_zz: float | None = None, increments: int = 100, until: str = "") -> Step:
+    """Compression along z without strain along x and y, by a strain or to a vertical stress.
+
+    Parameters
+    ----------
+    compression : float, optional
+        Logarithmic strain along z, compression positive.
+    sigma_zz : float, optional
+        Vertical stress at the end, in k/d; give either this or the compression.
+    increments, until
+        As in Step.
+
+    Returns
+    -------
+    Step
+    """
+    if (compression is None) == (sigma_zz is None):
+        raise ValueError("oedometer: give either compression or sigma_zz")
+    if compression is None:
+        return Step("oedometer", increments=increments, free=("e_zz",), stress={"sigma_zz": sigma_zz}, until=until)
+    return Step("oedometer", AXIAL, compression, increments, until=until)
+
+
+def direct_shear(strain: float, control: str = "normal-load", increments: int = 200, until: str = "") -> Step:
+    """Direct simple shear (DSS): shear du_x/dz without strain along x and y, drained or undrained.
+
+    Parameters
+    ----------
+    strain : float
+        Signed shear strain.
+    control : str
+        From CONTROLS: "normal-load" is the drained test, "volume" the undrained one.
+    increments, until
+        As in Step.
+
+    Returns
+    -------
+    Step
+    """
+    return shear(strain, control, increments, until)
+
+
+def cyclic_direct_shear(number: int, amplitude: float | None = None, stress_amplitude: float | None = None,
+                        control: str = "volume", increments: int = 100, until: str = "") -> list[Step]:
+    """Cyclic direct simple shear to both sides, of controlled strain or stress.
+
+    Parameters
+    ----------
+    number : int
+        Number of cycles, each of a step to one side and a step to the other.
+    amplitude : float, optional
+        Shear strain on either side of where the test begins.
+    stress_amplitude : float, optional
+        Shear stress -sigma_xz on either side of 0, in k/d; give either this or the amplitude.
+    control : str
+        From CONTROLS: "volume" is the undrained test, "normal-load" the drained one.
+    increments : int
+        Of each step.
+    until : str
+        As in Step, of each step.
+
+    Returns
+    -------
+    list of Step
+    """
+    if (amplitude is None) == (stress_amplitude is None):
+        raise ValueError("cyclic direct simple shear: give either amplitude or stress_amplitude")
+    if amplitude is not None:
+        refuse("cyclic direct simple shear cannot be made", _faults_of_cycles(number, amplitude=amplitude))
+        strains = (amplitude, *((-2 * amplitude, 2 * amplitude) * number)[:2 * number - 1])
+        return [shear(strain, control, increments, until) for strain in strains]
+    refuse("cyclic direct simple shear cannot be made", _faults_of_cycles(number, stress_amplitude=stress_amplitude))
+    assert stress_amplitude is not None
+    held = controlled(control)
+    return [Step(f"shear to a stress of {stress:g}", increments=increments, free=("gamma", *held["free"]),
+                 stress={"-sigma_xz": stress} | held["stress"], until=until, shear=True)
+            for stress in (stress_amplitude, -stress_amplitude) * number]

@@ -1,11 +1,15 @@
 """Fields, tables and pictures on disk agree with the problem that wrote them."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from mpi4py import MPI
 
 from granumat import Material, driver, fem, tensors
 from granumat.fem.cellwise import VertexMesh
+from granumat.fem.fields import FIELDS, RECORDED, TENSORS
 from support.scenes import read_table
 from support.xdmf import records
 
@@ -58,6 +62,51 @@ def test_fields_hold_the_mesh_at_the_start_the_displacements_and_the_cells_state
     np.testing.assert_allclose(last["A"], tensors.magnitude(problem.states.fabric[0]), rtol=1e-9)
     np.testing.assert_allclose(last["A_direction"] @ fabric, np.linalg.eigvalsh(fabric)[-1] * last["A_direction"], atol=1e-12)
     np.testing.assert_allclose(last["shear_strain"], problem.shear_strain[0], rtol=1e-9)
+
+
+def test_the_page_names_every_field_and_those_that_are_recorded(tmp_path):
+    page = (Path(__file__).parents[2] / "docs/results.md").read_text().split("## Fields of a body\n")[1]
+    rows = re.findall(r"^\| `(\w+)` \| (\d) \| (yes|no) \|", page, re.M)
+    assert [name for name, _, _ in rows] == list(FIELDS)
+    assert [name for name, _, recorded in rows if recorded == "yes"] == list(RECORDED)
+    fields = fem.cell_fields(homogeneous())
+    assert {name: str(values[0].size) for name, values in fields.items()} == {name: numbers for name, numbers, _ in rows}
+    fem.run(homogeneous(), 0.05, 0.05, observers=[fem.Fields(tmp_path / "a.xdmf")])
+    _, _, arrays = next(records(tmp_path / "a.xdmf"))
+    assert set(arrays) == {"displacement", "Topology", "Geometry", *RECORDED}
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_tensors_are_those_of_the_points_and_strain_is_that_of_the_stretch(tmp_path, cell):
+    problem = homogeneous(cell)
+    fem.run(problem, 1, 0.25, observers=[fem.Fields(tmp_path / "a.xdmf", times=[1], fields=["stress", "strain", "sigma_xy"])])
+    d = problem.d
+    deformation = np.eye(3)
+    deformation[:d, :d] += SHEAR[:d, :d]
+    stretch, axes = np.linalg.eigh(deformation @ deformation.T)
+    strain = axes @ np.diag(np.log(stretch) / 2) @ axes.T
+    expected = {"strain": tensors.to_voigt(strain), "stress": -problem.states.stress[0], "fabric": problem.states.fabric[0]}
+    fields = fem.cell_fields(problem, ["strain", "stress", "fabric", "volume_strain", "q", "coordination_number"])
+    for name, values in expected.items():
+        np.testing.assert_allclose(fields[name], np.tile(values, (problem.cells, 1)), atol=1e-13, err_msg=name)
+        components = fem.cell_fields(problem, [f"{TENSORS[name]}_{axis}" for axis in tensors.AXES])
+        assert (np.column_stack(list(components.values())) == fields[name]).all()
+    np.testing.assert_allclose(fields["volume_strain"], np.trace(strain), rtol=1e-10)
+    np.testing.assert_allclose(fields["q"], driver.state_columns(MATERIAL, problem.states[:1])["q"][0], rtol=1e-9)
+    np.testing.assert_allclose(fields["coordination_number"], problem.states.coordination_number[0], rtol=1e-12)
+    _, _, arrays = list(records(tmp_path / "a.xdmf"))[-1]
+    xdmf = {"stress": [0, 3, 4, 1, 5, 2], "strain": [0, 3, 4, 1, 5, 2]}
+    assert set(arrays) == {"displacement", "Topology", "Geometry", "sigma_xy", *xdmf}
+    for name, order in xdmf.items():
+        np.testing.assert_allclose(arrays[name], fields[name][:1, order].repeat(len(arrays[name]), 0), atol=1e-13)
+    assert 'Name="stress" AttributeType="Tensor6"' in (tmp_path / "a.xdmf").read_text()
+
+
+def test_unknown_fields_are_refused_all_at_once(tmp_path):
+    for refused in (lambda: fem.Fields(tmp_path / "a.xdmf", fields=["speed", "p", "heat"]),
+                    lambda: fem.cell_fields(homogeneous(), ["speed", "p", "heat"])):
+        with pytest.raises(ValueError, match=r"(?s)no field 'speed': must be one of p, q, .*, A_yz\n.*no field 'heat'"):
+            refused()
 
 
 def test_fields_of_a_long_run_go_on_in_further_files(tmp_path, monkeypatch):
@@ -125,8 +174,8 @@ def test_pictures_show_the_surface(tmp_path, cell):
 
 
 def test_a_picture_of_an_unknown_field_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="field = 'q': must be one of p, stress_ratio"):
-        fem.Pictures(tmp_path, "q")
+    with pytest.raises(ValueError, match="there is no field 'stress': must be one of p, q, stress_ratio"):
+        fem.Pictures(tmp_path, "stress")
 
 
 SCRIPT = """

@@ -156,10 +156,11 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
         [output]
         every = 0
         times = ["end"]
-        pictures = ["q"]
+        pictures = ["stress"]
         probes = { "a/b" = [0, 0] }
         checkpoint = 3
-        fields = 3
+        fields = ["p", "speed"]
+        colours = 3
     """)
     for words in (
             "'tolerence'", "mu = 1.5", "cells = [4, -2]: must be 2 integers above 0", "[initial]", "phi = 60",
@@ -168,7 +169,8 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
             "condition 2", "on is missing", "increasing times", "rotation = 0.1: must be 0 at t = 0",
             "periodic = true stands alone", "condition 4: is wrong:\n    says nothing", "platen = 'normal'",
             "center belongs to rotation", "until = -1", "increment is missing", "every = 0", "times = ['end']",
-            "pictures = ['q']", "probes: their names", "checkpoint = 3", "unknown key 'fields'"):
+            "pictures: there is no field 'stress'", "fields: there is no field 'speed'",
+            "probes: their names", "checkpoint = 3", "unknown key 'colours'"):
         assert words in said, words + "\n" + said
     assert "size" not in faults(tmp_path, '[mesh]\nkind = "sphere"\n') and "must be one of box, annulus, gmsh" in faults(
         tmp_path, '[mesh]\nkind = "sphere"\n')

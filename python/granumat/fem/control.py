@@ -1,6 +1,5 @@
 """A run from increment to increment: they grow while they are solved easily, are cut where they fail, and stop with a reason."""
 
-import time
 from collections.abc import Callable, Sequence
 from typing import TextIO
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from .. import tensors
 from ..checks import refuse
+from ..progress import Progress
 from .errors import SolveError, format_position
 from .problem import Problem
 
@@ -16,7 +16,6 @@ GROWTH_FACTOR = 1.5                 # of the increment after one that was solved
 EASY_ITERATIONS = 6                 # in at most so many Newton iterations
 SMALLEST_INCREMENT = 1 / 1024       # over the first one, if the user says nothing else
 TIME_ROUND_OFF = 1e-9               # over an increment: an event as close as that to its end is its end
-QUIET_SECONDS = 2.0                 # between two lines of progress
 
 
 def run(problem: Problem, until: float, increment: float | Callable[[float], float], *, smallest: float | None = None,
@@ -36,7 +35,7 @@ def run(problem: Problem, until: float, increment: float | Callable[[float], flo
         Pseudo-times that are met exactly: reversals and other kinks of what is prescribed.
     observers : sequence of functions of the problem
         Called before the first increment and after every accepted one, on all ranks.
-    progress : stream, optional
+    progress : text stream, optional
         Where rank 0 writes a line with the remaining time every few seconds.
 
     Raises
@@ -59,7 +58,7 @@ def run(problem: Problem, until: float, increment: float | Callable[[float], flo
         faults.append(f"smallest = {smallest!r}: must be above 0 and at most the increment")
     refuse("the problem cannot be run", faults)
     stops = sorted({float(event) for event in events if event < until} | {float(until)})
-    show_progress = _Progress(problem, until, progress if problem.comm.rank == 0 else None)
+    first, show_progress = problem.t, Progress(progress if problem.comm.rank == 0 else None)
     for observe in observers:
         observe(problem)
     while problem.t < until - TIME_ROUND_OFF * smallest:
@@ -79,7 +78,7 @@ def run(problem: Problem, until: float, increment: float | Callable[[float], flo
         problem.accept(trial, stop if abs(stop - trial.t) <= TIME_ROUND_OFF * smallest else None)
         for observe in observers:
             observe(problem)
-        show_progress()
+        show_progress(f"t = {problem.t:.6g} of {until:.6g}", (problem.t - first) / (until - first))
 
 
 def diagnosis(problem: Problem) -> str:
@@ -102,21 +101,3 @@ def _smallest(problem: Problem, values: np.ndarray) -> tuple[float, str]:
     i = int(np.argmin(values)) if len(values) else None
     own = (np.inf, "") if i is None else (float(values[i]), format_position(problem.point_positions()[i]))
     return min(problem.comm.allgather(own))
-
-
-class _Progress:
-    """Prints a line with the remaining time every few seconds."""
-
-    def __init__(self, problem: Problem, until: float, stream: TextIO | None) -> None:
-        self._problem, self._until, self._stream = problem, until, stream
-        self._first, self._start = problem.t, time.monotonic()
-        self._shown = self._start
-
-    def __call__(self) -> None:
-        now = time.monotonic()
-        if self._stream is None or now - self._shown < QUIET_SECONDS:
-            return
-        self._shown = now
-        done = (self._problem.t - self._first) / (self._until - self._first)
-        print(f"t = {self._problem.t:.6g} of {self._until:.6g}: {done:.0%}, {(now - self._start) * (1 / done - 1):.0f} s to go",
-              file=self._stream, flush=True)

@@ -9,26 +9,70 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import tensors
+from ..checks import refuse
+from ..history import column_name
 from .cellwise import SHAPES, VertexMesh, on_rank_0
 from .output import Output
 from .problem import Problem
 
 FIELDS = {
-    "p": "pressure $p\\,d/k$", "stress_ratio": "stress ratio $|\\sigma'|/p$", "Z2": "coordination number $Z_2$",
-    "phi": "volume fraction $\\phi$", "A": "fabric $|A|$", "A_direction": "direction of most contacts",
-    "shear_strain": "accumulated shear strain", "dilatancy": "dilatancy tr $D/|S|$", "eta_t": "transverse modulus $\\eta_t$",
+    "p": "pressure $p\\,d/k$", "q": "deviator $q\\,d/k$", "stress_ratio": "stress ratio $|\\sigma'|/p$",
+    "Z2": "coordination number $Z_2$", "phi": "volume fraction $\\phi$", "A": "fabric $|A|$",
+    "A_direction": "direction of most contacts",
+    "shear_strain": "accumulated shear strain", "volume_strain": "volume strain (extension positive)",
+    "dilatancy": "dilatancy tr $D/|S|$", "eta_t": "transverse modulus $\\eta_t$",
+    "stress": "stress $\\sigma\\,d/k$", "strain": "logarithmic strain $e$", "fabric": "fabric $A$",
 }
-SCALAR_FIELDS = [name for name in FIELDS if name != "A_direction"]
+TENSORS = {"stress": "sigma", "strain": "e", "fabric": "A"}         # names of the components' columns in histories begin so
+COMPONENTS = {f"{symbol}_{axis}": (name, i) for name, symbol in TENSORS.items() for i, axis in enumerate(tensors.AXES)}
+SCALAR_FIELDS = [*(name for name in FIELDS if name not in ("A_direction", *TENSORS)), *COMPONENTS]
+RECORDED = tuple(name for name in FIELDS if name not in ("q", *TENSORS))                      # if nothing else is asked for
+XDMF_ORDER = [0, 3, 4, 1, 5, 2]     # xx xy xz yy yz zz
 ROUND_OFF = 1e-9                    # a component of a unit vector below, or a shear over a volume strain, counts as 0
 
 
-def cell_fields(problem: Problem) -> dict[str, np.ndarray]:
-    """The means over this rank's own cells, weighted by volume: a dict of FIELDS to arrays (cells,); A_direction (cells, 3).
+def check_fields(names: Sequence[str], allowed: Sequence[str], faults: list[str]) -> None:
+    """Appends a fault for each name that is neither among the allowed fields nor another word for one of them."""
+    faults += [f"there is no field {name!r}: must be one of {', '.join(allowed)}" for name in names
+               if not isinstance(name, str) or column_name(name) not in allowed]
 
-    p is compression positive; A is abs(A) of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of
-    which the first component that is not 0 is positive; it is 0 where there is no fabric. dilatancy is that of the last
-    increment, 0 where it had no shear.
+
+def field_label(name: str) -> str:
+    """Words for the axis of a field, one of FIELDS or COMPONENTS."""
+    name = column_name(name)
+    if name not in COMPONENTS:
+        return FIELDS[name]
+    tensor, i = COMPONENTS[name]
+    words, symbol = FIELDS[tensor].split("$")[:2]
+    letter, _, unit = symbol.partition("\\,")
+    return f"{words}${letter}_{{{tensors.AXES[i]}}}{unit and chr(92) + ',' + unit}$"
+
+
+def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[str, np.ndarray]:
+    """The means over this rank's own cells, weighted by volume.
+
+    Parameters
+    ----------
+    problem : Problem
+    names : sequence of str
+        From FIELDS, COMPONENTS ("sigma_xx" ... "sigma_yz", "e_xx" ..., "A_xx" ...) and history.WORDS; all FIELDS if not given.
+
+    Returns
+    -------
+    dict of str to array
+        (cells,); A_direction (cells, 3); stress, strain, fabric (cells, 6). Stresses and p are compression positive, strains
+        extension positive. strain is the logarithmic strain since the start, ln(F F^T)/2, along x y z. q is sqrt(3 J2). A is abs(A)
+        of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of which the first component that is not
+        0 is positive; it is 0 where there is no fabric. dilatancy is that of the last increment, 0 where it had no shear.
+
+    Raises
+    ------
+    ValueError
+        Names every field that does not exist.
     """
+    faults: list[str] = []
+    check_fields(names, (*FIELDS, *COMPONENTS), faults)
+    refuse("the fields cannot be given", faults)
     states, volumes = problem.states, problem.point_volumes().reshape(problem.cells, -1)
     weights = volumes / volumes.sum(axis=1, keepdims=True)
 
@@ -44,10 +88,29 @@ def cell_fields(problem: Problem) -> dict[str, np.ndarray]:
     direction = np.linalg.eigh(tensors.to_matrix(fabric))[1][..., -1]
     first = np.take_along_axis(direction, (abs(direction) > ROUND_OFF).argmax(axis=1)[:, None], axis=1)
     direction = np.where(tensors.magnitude(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
-    return {"p": -tensors.trace(stress) / 3, "stress_ratio": stress_ratio(stress), "Z2": mean(states["coordination_number"]),
-            "phi": mean(states["volume_fraction"]), "A": tensors.magnitude(fabric), "A_direction": direction,
-            "shear_strain": mean(problem.shear_strain), "dilatancy": dilatancy,
-            "eta_t": mean(problem.material.transverse_modulus(states))}
+    fields = {"p": -tensors.trace(stress) / 3, "q": np.sqrt(3) * tensors.magnitude(tensors.deviator(stress)),
+              "stress_ratio": stress_ratio(stress), "Z2": mean(states["coordination_number"]),
+              "phi": mean(states["volume_fraction"]), "A": tensors.magnitude(fabric), "A_direction": direction,
+              "shear_strain": mean(problem.shear_strain), "volume_strain": mean(problem.volume_strain), "dilatancy": dilatancy,
+              "eta_t": mean(problem.material.transverse_modulus(states)), "stress": -stress, "fabric": fabric}
+    wanted = [column_name(name) for name in names]
+    if any(name == "strain" or COMPONENTS.get(name, ("",))[0] == "strain" for name in wanted):
+        fields["strain"] = mean(point_strains(problem))
+    return {given: fields[COMPONENTS[name][0]][:, COMPONENTS[name][1]] if name in COMPONENTS else fields[name]
+            for given, name in zip(names, wanted)}
+
+
+def point_strains(problem: Problem) -> np.ndarray:
+    """Logarithmic strains since the start, ln(F F^T)/2 (points, 6), of this rank's points, along x y z."""
+    body = problem.body
+
+    def jacobians(nodal: np.ndarray) -> np.ndarray:
+        return np.einsum("cai,qja->cqij", body.at_cells(nodal), body.element.gradients)
+    deformation = jacobians(problem.positions + problem.displacement) @ np.linalg.inv(jacobians(problem.positions))
+    stretch, axes = np.linalg.eigh(deformation @ np.swapaxes(deformation, -1, -2))
+    strain = np.zeros((*stretch.shape[:2], 3, 3))
+    strain[..., :problem.d, :problem.d] = (axes * np.log(stretch)[..., None, :] / 2) @ np.swapaxes(axes, -1, -2)
+    return tensors.to_voigt(strain).reshape(-1, 6)
 
 
 def stress_ratio(stress: np.ndarray) -> np.ndarray:
@@ -57,7 +120,7 @@ def stress_ratio(stress: np.ndarray) -> np.ndarray:
 
 
 class Fields(Output):
-    """FIELDS of the cells and displacements of the vertices, as an XDMF time series over the mesh at the start.
+    """Fields of the cells and displacements of the vertices, as an XDMF time series over the mesh at the start.
 
     The numbers lie beside it in a file of the same name that ends in .bin, those of a long run in further ones, .1.bin, .2.bin ...
     In ParaView: "Warp by vector" by the displacement.
@@ -70,14 +133,26 @@ class Fields(Output):
         Increments from one record to the next.
     times : sequence of float, optional
         Pseudo-times at which there are records too; make them `events` of the run.
+    fields : sequence of str, optional
+        As in cell_fields; RECORDED if not given. Tensors have XDMF's order of components, xx xy xz yy yz zz.
+
+    Raises
+    ------
+    ValueError
+        Names every field that does not exist.
     """
 
     HEAD = '<?xml version="1.0"?>\n<Xdmf Version="3.0">\n<Domain>\n<Grid GridType="Collection" CollectionType="Temporal">\n'
     FOOT = "</Grid>\n</Domain>\n</Xdmf>\n"
     LARGEST_FILE = 2**32            # bytes of a file of numbers: two of ParaView's three XDMF readers count them in 32 bits
 
-    def __init__(self, path: str | Path, every: int | None = None, times: Sequence[float] = ()) -> None:
+    def __init__(self, path: str | Path, every: int | None = None, times: Sequence[float] = (),
+                 fields: Sequence[str] = RECORDED) -> None:
         super().__init__(path, every, times)
+        faults: list[str] = []
+        check_fields(fields, (*FIELDS, *COMPONENTS), faults)
+        refuse("the fields cannot be written", faults)
+        self.fields = tuple(fields)
         self._mesh: VertexMesh | None = None
         self._number_files = 1
 
@@ -98,14 +173,16 @@ class Fields(Output):
             self._mesh = VertexMesh(problem.body)
         mesh = self._mesh
         displacement = mesh.gather(problem.displacement)
-        fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem).items()}
+        fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem, self.fields).items()}
         on_rank_0(problem.comm, lambda: self._append(problem.t, mesh, displacement, fields))
 
     def _append(self, t: float, mesh: VertexMesh, displacement: np.ndarray, fields: dict[str, np.ndarray]) -> None:
         """Appends a record: numbers to the last file of numbers, its description to the XDMF file."""
         cells = mesh.cells[:, SHAPES[mesh.shape].around].astype("<i4")
         positions = _in_space(mesh.positions)
-        arrays = {"displacement": _in_space(displacement)} | {name: np.asarray(values, "<f8") for name, values in fields.items()}
+        arrays = {"displacement": _in_space(displacement)}
+        for name, values in fields.items():
+            arrays[name] = np.ascontiguousarray(values[:, XDMF_ORDER] if name in TENSORS else values, "<f8")
         new = self.written is None
         start = 0 if new else self.numbers[-1].stat().st_size
         if start and start + sum(values.nbytes for values in arrays.values()) > self.LARGEST_FILE:
@@ -120,7 +197,8 @@ class Fields(Output):
                   f'NumberOfElements="{len(cells)}">{_data_item(cells, first, 0)}</Topology>\n<Geometry GeometryType="XYZ">'
                   f"{_data_item(positions, first, cells.nbytes)}</Geometry>\n"]
         for name, values in arrays.items():
-            kind, center = "Vector" if values.ndim == 2 else "Scalar", "Node" if name == "displacement" else "Cell"
+            kind = {(): "Scalar", (3,): "Vector", (6,): "Tensor6"}[values.shape[1:]]
+            center = "Node" if name == "displacement" else "Cell"
             record.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{center}">{_data_item(values, last, start)}'
                           "</Attribute>\n")
             start += values.nbytes

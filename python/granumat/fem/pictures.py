@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..checks import refuse
 from .cellwise import VertexMesh, on_rank_0
-from .fields import FIELDS, SCALAR_FIELDS, cell_fields
+from .fields import SCALAR_FIELDS, cell_fields, check_fields, field_label
 from .output import Output
 from .problem import Problem
 
@@ -22,7 +23,7 @@ class Pictures(Output):
     ----------
     directory : path
     field : str
-        One of FIELDS but A_direction.
+        A scalar field or a component of cell_fields, such as "p" or "sigma_xx".
     every, times
         As in Fields.
 
@@ -34,8 +35,9 @@ class Pictures(Output):
 
     def __init__(self, directory: str | Path, field: str = "p", every: int | None = None, times: Sequence[float] = ()) -> None:
         super().__init__(Path(directory) / field, every, times)
-        if field not in SCALAR_FIELDS:
-            raise ValueError(f"field = {field!r}: must be one of {', '.join(SCALAR_FIELDS)}")
+        faults: list[str] = []
+        check_fields([field], SCALAR_FIELDS, faults)
+        refuse("the picture cannot be drawn", faults)
         self.field = field
         self._mesh: VertexMesh | None = None
 
@@ -44,12 +46,12 @@ class Pictures(Output):
             self._mesh = VertexMesh(problem.body)
         mesh = self._mesh
         positions = mesh.gather(problem.positions + problem.displacement)
-        values = mesh.order.gather(cell_fields(problem)[self.field])
+        values = mesh.order.gather(cell_fields(problem, [self.field])[self.field])
 
         def draw() -> None:
             polygons, cells = mesh.polygons()
             hertzian = problem.material.contact == "hertzian"
-            label = FIELDS[self.field].replace("\\,d/k", "/k_{Hz}" if hertzian else "\\,d/k")
+            label = field_label(self.field).replace("\\,d/k", "/k_{Hz}" if hertzian else "\\,d/k")
             figure = field_figure(positions[polygons], values[cells], label, f"t = {problem.t:.6g}")
             figure.savefig(f"{self.path}-{problem.increments:06d}.png", dpi=130)
         on_rank_0(problem.comm, draw)

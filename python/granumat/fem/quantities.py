@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..checks import attempt, refuse
+from ..history import column_name
 from ..quantities import Quantity
 from .conditions import Where
 from .problem import Problem
@@ -65,7 +66,7 @@ def read_source(of: str, d: int | None, sides: Collection[str] | None, probes: C
     if not found:
         raise ValueError(f"must be {FORMS}")
     kind, match = found[0]
-    source = Source(kind, match["field"] or "", match["place"] or "")
+    source = Source(kind, column_name(match["field"] or ""), match["place"] or "")
     faults: list[str] = []
     axes = "xyz"[:d]
     if kind == "moment" and d == 2 and source.field:

@@ -189,7 +189,8 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Co
     resumed : bool
         Whether to go on from the checkpoint in `out`.
     comm : MPI communicator
-    progress : stream, optional
+    progress : text stream, optional
+        As in run.
 
     Returns
     -------
@@ -234,7 +235,7 @@ def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:
     """The observers that write into the directory `out` what the scene asks for."""
     request, (_, symmetry) = scene.output, modelled(scene)
     times = (*request.times, 0.0, scene.run.until)
-    outputs: list[Output] = [Fields(out / "fields.xdmf", request.every, times)]
+    outputs: list[Output] = [Fields(out / "fields.xdmf", request.every, times, request.fields)]
     if held:
         outputs.append(Reactions(out / "reactions.csv", held, request.center, symmetry=symmetry))
     outputs += [Probe(out / f"probe-{name}.csv", x, symmetry=symmetry) for name, x in request.probes.items()]

@@ -114,6 +114,8 @@ class OutputRequest:
         Increments from one record of fields and pictures to the next.
     times : tuple of float
         Pseudo-times of further records.
+    fields : list of str
+        Fields of the cells in fields.xdmf.
     pictures : list of str
         Fields to be drawn.
     probes : dict of str to list of float
@@ -126,6 +128,7 @@ class OutputRequest:
 
     every: int | None
     times: tuple[float, ...]
+    fields: list[str]
     pictures: list[str]
     probes: dict[str, list[float]]
     center: list[float] | None

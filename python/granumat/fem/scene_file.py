@@ -9,11 +9,11 @@ import numpy as np
 from ..checks import attempt, is_finite_number, is_positive_integer, refuse, repetitions
 from ..coarsen import claimed_symmetries
 from ..material import Material
-from ..paths import INITIAL, read_initial, read_material
+from ..paths import INITIAL, initial_table, read_initial, read_material
 from ..quantities import Quantity, read_quantities
 from ..toml import read_toml, table_of, tables_of
 from . import meshes
-from .fields import SCALAR_FIELDS
+from .fields import COMPONENTS, FIELDS, RECORDED, SCALAR_FIELDS, check_fields
 from .problem import Tolerances
 from .quantities import read_source
 from .reduction import reduction_faults
@@ -187,7 +187,7 @@ def _settings(content: dict[str, Any], d: int | None) -> dict[str, Any]:
 def _initial(content: dict[str, Any], material: Material | None, kind: str | None, d: int | None,
              settings: dict[str, Any]) -> np.void | Resting | None:
     """The initial state; None if the material, which it depends on, has faults of its own."""
-    table = table_of(content, "initial")
+    table = initial_table(content)
     if table.get("state") not in (*INITIAL, "K0"):
         raise ValueError(f"[initial]: state = {table.get('state')!r}: must be one of {', '.join(INITIAL)}, K0")
     if table["state"] == "K0":
@@ -230,14 +230,19 @@ def _run(content: dict[str, Any]) -> RunControl:
 def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
     table = table_of(content, "output")
     faults: list[str] = []
-    _check_keys(table, (), ("every", "times", "pictures", "probes", "center", "checkpoint"), faults)
+    _check_keys(table, (), ("every", "times", "fields", "pictures", "probes", "center", "checkpoint"), faults)
     times = table.get("times", [])
     if not isinstance(times, list) or not all(is_finite_number(t) and t >= 0 for t in times):
         faults.append(f"times = {times!r}: must be a list of numbers, at least 0")
     _check_count(table, "every", "every", faults)
-    pictures = table.get("pictures", [])
-    if not isinstance(pictures, list) or any(name not in SCALAR_FIELDS for name in pictures):
-        faults.append(f"pictures = {pictures!r}: must be a list of some of {', '.join(SCALAR_FIELDS)}")
+    for key, allowed in (("fields", [*FIELDS, *COMPONENTS]), ("pictures", SCALAR_FIELDS)):
+        names = table.get(key, [])
+        if isinstance(names, list):
+            unknown: list[str] = []
+            check_fields(names, allowed, unknown)
+            faults += [f"{key}: {fault}" for fault in unknown]
+        else:
+            faults.append(f"{key} = {names!r}: must be a list of fields")
     probes = table.get("probes", {})
     if not isinstance(probes, dict) or not all(_are_numbers(x, *_vector_lengths(d)) for x in probes.values()):
         faults.append(f"probes = {probes!r}: must be a table of names and positions of {d or '2 or 3'} numbers")
@@ -253,8 +258,8 @@ def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
         _check_count(checkpoint, "every", "checkpoint every", faults)
         _check_number(checkpoint, "seconds", "a number, at least 0", lambda value: value >= 0, faults)
     refuse("is wrong", faults)
-    return OutputRequest(table.get("every", None if times else 10), tuple(map(float, times)), pictures, probes, table.get("center"),
-                         checkpoint)
+    return OutputRequest(table.get("every", None if times else 10), tuple(map(float, times)),
+                         table.get("fields", list(RECORDED)), table.get("pictures", []), probes, table.get("center"), checkpoint)
 
 
 def _regions(content: dict[str, Any], d: int | None) -> list[Region]:

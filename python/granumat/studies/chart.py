@@ -13,7 +13,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -456,7 +456,7 @@ def write_csv(filename: Path, rows: Iterable[Row]) -> None:
 
 
 def draw_chart(out: str | Path, names: Iterable[str] | None = None,
-               progress: Callable[[str], None] = print) -> dict[str, list[Row]]:
+               progress: TextIO | None = None) -> dict[str, list[Row]]:
     """Measure cases; write chart.csv, <case>.png, and chart.png with all of them.
 
     Parameters
@@ -465,8 +465,8 @@ def draw_chart(out: str | Path, names: Iterable[str] | None = None,
         Directory; it is created if it does not exist.
     names : iterable of str, optional
         Keys of CASES; the default is all.
-    progress : function of str
-        Called with the name of every file that was written.
+    progress : text stream, optional
+        Receives a line for every file that was written.
 
     Returns
     -------
@@ -486,8 +486,10 @@ def draw_chart(out: str | Path, names: Iterable[str] | None = None,
     for name in names:
         cases[name] = measure(name)
         case_figure(name, cases[name]).savefig(out / f"{name}.png", dpi=110)
-        progress(f"wrote {out / f'{name}.png'}")
+        if progress is not None:
+            print(f"wrote {out / f'{name}.png'}", file=progress, flush=True)
     write_csv(out / "chart.csv", itertools.chain(*cases.values()))
     overview(cases).savefig(out / "chart.png", dpi=110)
-    progress(f"wrote {out / 'chart.csv'}\nwrote {out / 'chart.png'}")
+    if progress is not None:
+        print(f"wrote {out / 'chart.csv'}\nwrote {out / 'chart.png'}", file=progress)
     return cases
