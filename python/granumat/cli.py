@@ -1,7 +1,10 @@
 """The command `granumat`, the same as `python3 -m granumat`."""
 
 import argparse
+import contextlib
+import io
 import logging
+import os
 import sys
 import time
 import traceback
@@ -10,7 +13,9 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
-from . import __version__, driver, installed, quantities
+from . import __version__, driver, examples, installed, quantities, summaries
+from .checks import choose, refuse
+from .completion import SHELLS, completion_script
 from .errors import GranumatError
 from .paths import read_path_file
 from .studies.cases import CASES
@@ -18,7 +23,13 @@ from .studies.cases import CASES
 T = TypeVar("T")
 
 PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to meet the same error
-PRINTED = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
+PRINTED = {                         # columns on screen, by the kind of test
+    "shear": ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz"),
+    "shear under a normal load": ("gamma", "phi", "p", "tau_over_sigma_n", "Z2", "A_xz"),
+    "axial": ("e_zz", "phi", "p", "q", "q_over_p", "Z2"),
+    "isotropic": ("volume_strain", "phi", "p", "Z2"),
+    "other": ("gamma_total", "phi", "p", "q", "q_over_p", "Z2"),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,10 +48,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     warnings.showwarning = _show_warning
     try:
-        options.run(options)
+        with contextlib.redirect_stdout(io.StringIO()) if options.json else contextlib.nullcontext():
+            result = options.run(options)
+        if options.json and not options.quiet:
+            print(summaries.to_json(result))
+    except BrokenPipeError:                                      # what reads the output has enough, as `head` has
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except (ValueError, OSError, ImportError, GranumatError) as error:
         if not options.quiet:
             print(f"granumat: {error}", file=sys.stderr)
+            if options.json:
+                print(summaries.to_json(summaries.of_error(error)))
         return 1 if isinstance(error, GranumatError) else 2
     return 0
 
@@ -48,15 +67,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="granumat", description="Rate-independent granular materials with evolving "
                                      "microstructure, after Sun & Sundaresan (2011).")
-    parser.set_defaults(quiet=False)
+    parser.set_defaults(quiet=False, json=False)
     parser.add_argument("--version", action="version", version=f"granumat {__version__}")
     commands = parser.add_subparsers(required=True)
 
-    def command(name: str, run: Callable[[argparse.Namespace], None], words: str) -> argparse.ArgumentParser:
+    def command(name: str, run: Callable[[argparse.Namespace], Any], words: str) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=words, description=words)
         added.set_defaults(run=run)
-        if run not in (run_bench, run_umat):
+        if run not in (run_bench, run_check, run_completion, run_example, run_umat):
             added.add_argument("--out", type=Path, required=True, help="directory for what is written")
+        if run in (run_point, run_solve, run_ladder, run_check):
+            added.add_argument("--json", action="store_true", help="print the result, or the error, as JSON instead of words")
         return added
 
     command("point", run_point, "run a path file at one material point").add_argument(
@@ -69,10 +90,16 @@ def _parser() -> argparse.ArgumentParser:
     ladder.add_argument("--tolerance", type=float, required=True,
                         help="error that is allowed, relative to the scale of each quantity that has no tolerance of its own")
     ladder.add_argument("--budget", type=int, help="most runs that there may be")
+    command("check", run_check, "say everything that is wrong with a path or scene file, and run nothing").add_argument(
+        "file", type=Path, help="the path or scene, a TOML file")
+    example = command("example", run_example, "print a path or scene file to start from; without a name, list them")
+    example.add_argument("name", nargs="?", help="of the example")
+    example.set_defaults(completes=examples.example_files())
     command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
-    command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives").add_argument(
-        "names", nargs="*", metavar="CASE", help=f"from {', '.join(CASES)}; all if none is given")
+    chart = command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives")
+    chart.add_argument("names", nargs="*", metavar="CASE", help=f"from {', '.join(CASES)}; all if none is given")
+    chart.set_defaults(completes=CASES)
     command("stability", run_stability, "map how large an increment each integration method stands")
     command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
     bench = command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
@@ -84,6 +111,9 @@ def _parser() -> argparse.ArgumentParser:
     which = command("umat", run_umat, "where the files for other codes are, all or one").add_mutually_exclusive_group()
     for name, (_, words) in installed.FILES.items():
         which.add_argument(f"--{name}", dest="name", action="store_const", const=name, help=words)
+    completion = command("completion", run_completion, "print the script that makes a shell complete this command")
+    completion.add_argument("shell", choices=SHELLS)
+    completion.set_defaults(completes=SHELLS, commands=commands.choices)
     return parser
 
 
@@ -97,9 +127,9 @@ def _say_written(filenames: Iterable[Path]) -> None:
         print(f"wrote {filename}")
 
 
-def run_point(options: argparse.Namespace) -> None:
+def run_point(options: argparse.Namespace) -> dict[str, Any]:
     """Run `granumat point`: history.csv, history.png, and the ends of the steps on screen."""
-    from .plotting import history_figure
+    from .plotting import history_figure, kind_of
     path = read_path_file(options.path)
     try:
         history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, sys.stderr, path.acoustic,
@@ -109,23 +139,29 @@ def run_point(options: argparse.Namespace) -> None:
               f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
         raise
     history_figure(history, options.path.stem).savefig(options.out / "history.png", dpi=130)
-    print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in PRINTED))
+    printed = PRINTED[kind_of(history)]
+    print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in printed))
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
-        print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in PRINTED))
-    written = ["history.csv", "history.png", *([quantities.QUANTITIES_FILE] if path.quantities else [])]
-    _say_written(options.out / name for name in written)
+        print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>{max(12, len(name))}.6g}" for name in printed))
+    names = ["history.csv", "history.png", *([quantities.QUANTITIES_FILE] if path.quantities else [])]
+    written = [options.out / name for name in names]
+    _say_written(written)
+    return {"files": written} | summaries.of_history(history, path.quantities)
 
 
-def run_solve(options: argparse.Namespace) -> None:
+def run_solve(options: argparse.Namespace) -> dict[str, Any]:
     """Run `granumat solve`; the first rank speaks for all."""
     from .fem import scene
     problem, written = _on_all_ranks(options, lambda: scene.solve(options.scene, options.out, options.resume, progress=sys.stderr))
-    if not options.quiet:
-        print(f"t = {problem.t:g} after {problem.increments} increments")
-        _say_written(written)
+    if options.quiet:
+        return {}
+    print(f"t = {problem.t:g} after {problem.increments} increments")
+    _say_written(written)
+    values = summaries.of_quantities(options.out / quantities.QUANTITIES_FILE, scene.read_scene(options.scene).quantities)
+    return {"files": written, "t": problem.t, "increments": problem.increments, "quantities": values}
 
 
-def run_ladder(options: argparse.Namespace) -> None:
+def run_ladder(options: argparse.Namespace) -> dict[str, Any]:
     """Run `granumat ladder`; what is there of an earlier climb in the directory is used."""
     from . import ladder
 
@@ -133,12 +169,53 @@ def run_ladder(options: argparse.Namespace) -> None:
         return ladder.climb(options.file, options.tolerance, options.out, options.budget, progress=sys.stderr)
     if ladder.is_scene(options.file):
         from . import fem  # noqa: F401 - fails in words where DOLFINx is missing
-        _on_all_ranks(options, climb)
-    elif not _is_idle_rank(options):
-        climb()
+        report = _on_all_ranks(options, climb)
+    elif _is_idle_rank(options):
+        return {}
+    else:
+        report = climb()
+    written = [options.out / name for name in ladder.FILES]
     if not options.quiet:
         print((options.out / "ladder.txt").read_text(encoding="utf-8"))
-        _say_written(options.out / name for name in ladder.FILES)
+        _say_written(written)
+    return {"files": written} | summaries.of_report(report)
+
+
+def run_check(options: argparse.Namespace) -> dict[str, Any]:
+    """Run `granumat check`."""
+    from . import ladder, preview
+
+    def look() -> dict[str, Any]:
+        return preview.preview(options.file)
+    if ladder.is_scene(options.file):
+        from . import fem  # noqa: F401 - fails in words where DOLFINx is missing
+        found = _on_all_ranks(options, look)
+    elif _is_idle_rank(options):
+        return {}
+    else:
+        found = look()
+    if not options.quiet:
+        print(f"{options.file} can be run: {preview.in_words(found)}")
+    return found
+
+
+def run_example(options: argparse.Namespace) -> None:
+    """Run `granumat example`."""
+    files = examples.example_files()
+    if options.name is None:
+        width = max(map(len, files))
+        for name, file in files.items():
+            print(f"{name:{width}}  {examples.first_words(file)}")
+    else:
+        faults: list[str] = []
+        choose("example", options.name, list(files), faults)
+        refuse("there is no such file", faults)
+        print(files[options.name].read_text(encoding="utf-8"), end="")
+
+
+def run_completion(options: argparse.Namespace) -> None:
+    """Run `granumat completion`."""
+    print(completion_script(options.commands, options.shell), end="")
 
 
 def _is_idle_rank(options: argparse.Namespace) -> bool:
