@@ -8,6 +8,7 @@ import contextlib
 import io
 import re
 import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -17,11 +18,13 @@ import pytest
 from granumat import Material, cli
 from granumat.paths import read_path_file
 from granumat.studies.cases import CASES
+from support.umat_host import BUILD
 
 ROOT = Path(__file__).resolve().parents[1]
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 PAGES = {str(path.relative_to(ROOT)): path.read_text() for path in (README, *sorted(DOCS.rglob("*.md")))}
 PROGRAM = re.compile(r"^```python\n(.*?)^```\n(?:\n```\n(.*?)^```$)?", re.M | re.S)          # and what it prints
+SHELL = re.compile(r"^```sh\n(.*?)^```\n(?:\n```\n(.*?)^```$)?", re.M | re.S)              # and what it prints, among other lines
 
 pytestmark = pytest.mark.release_only
 
@@ -108,6 +111,24 @@ def test_every_command_is_in_the_table_of_commands():
         cli.main(["--help"])
     commands = re.search(r"\{([a-z,]+)\}", printed.getvalue())[1].split(",")
     assert sorted(re.findall(r"^\| `granumat ([a-z]+)", PAGES["docs/getting-started.md"], re.M)) == sorted(commands)
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_first_hour_print_what_stands_below_them(tmp_path):
+    """Those after the installation, in their order, in an empty folder."""
+    pytest.importorskip("dolfinx")
+    page = PAGES["docs/getting-started.md"]
+    part = page[page.index("## A load path at one point"):page.index("## The commands")]
+    installed = {"granumat ": f"{sys.executable} -m granumat ", "/usr/local/share/granumat": str(BUILD)}
+    (tmp_path / "demos").symlink_to(ROOT / "demos")
+    found = SHELL.findall(part)
+    assert len(found) == part.count("```sh") == 5
+    for commands, below in found:
+        for name, place in installed.items():
+            commands = re.sub(rf"^{name}|(?<= ){name}(?=/)", place, commands, flags=re.M)
+        ran = subprocess.run(["sh", "-euc", commands], cwd=tmp_path, capture_output=True, text=True)
+        assert ran.returncode == 0, ran.stderr
+        assert [line for line in below.splitlines() if line not in ran.stdout.splitlines()] == []
 
 
 # ---- what is named ---------------------------------------------------------------------------------------------------

@@ -142,7 +142,7 @@ def state_columns(material: Material, states: np.ndarray) -> dict[str, np.ndarra
 
 def _ratio(shear: np.ndarray, pressure: np.ndarray) -> np.ndarray:
     """A shear stress over a pressure (n,), 0 where there is no pressure."""
-    return np.divide(shear, pressure, out=np.zeros_like(pressure), where=pressure > 0)
+    return np.divide(shear, pressure, out=np.zeros_like(pressure), where=pressure > 0) + 0.0                  # no -0
 
 
 # ---- conditions that end a step ----------------------------------------------------------------------------------------
