@@ -15,7 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from granumat import Material, cli
+from granumat import Material, cli, driver
+from granumat.core import constant_ranges, status_message
+from granumat.material import describe_range
 from granumat.paths import read_path_file
 from granumat.studies.cases import CASES
 from support.umat_host import BUILD
@@ -42,6 +44,17 @@ def printed_by(program, names):
     with contextlib.redirect_stdout(printed):
         exec(program, names)
     return printed.getvalue()
+
+
+def commands():
+    """The names of granumat's commands."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed), pytest.raises(SystemExit):
+        cli.main(["--help"])
+    return re.search(r"\{([a-z,]+)\}", printed.getvalue())[1].split(",")
+
+
+COMMANDS = commands()
 
 
 # ---- what can be run -------------------------------------------------------------------------------------------------
@@ -106,11 +119,7 @@ def test_the_first_block_of_readme_holds_the_two_commands():
 
 
 def test_every_command_is_in_the_table_of_commands():
-    printed = io.StringIO()
-    with contextlib.redirect_stdout(printed), pytest.raises(SystemExit):
-        cli.main(["--help"])
-    commands = re.search(r"\{([a-z,]+)\}", printed.getvalue())[1].split(",")
-    assert sorted(re.findall(r"^\| `granumat ([a-z]+)", PAGES["docs/getting-started.md"], re.M)) == sorted(commands)
+    assert sorted(re.findall(r"^\| `granumat ([a-z]+)", PAGES["docs/getting-started.md"], re.M)) == sorted(COMMANDS)
 
 
 @pytest.mark.slow
@@ -166,6 +175,48 @@ def test_every_demo_scene_and_test_that_a_page_names_exists(page):
 def test_every_picture_of_the_demos_is_shown():
     shown = {Path(target).name for text in PAGES.values() for target in re.findall(r"!\[[^]]*\]\(([^()]+)\)", text)}
     assert {path.name for path in (ROOT / "demos/pictures").iterdir()} <= shown
+
+
+def test_the_gallery_shows_every_picture_with_the_command_that_draws_it():
+    shown = re.findall(r"^[^\n]*: `(.+?)`\n\n!\[[^]]*\]\(\.\./demos/pictures/([\w.-]+)\)$", PAGES["docs/gallery.md"], re.M)
+    assert sorted(name for _, name in shown) == sorted(path.name for path in (ROOT / "demos/pictures").iterdir())
+    for command, _ in shown:
+        program, *words = command.split()
+        is_script = (ROOT / (words[0] if program == "python3" else program)).is_file()
+        assert is_script or (program == "granumat" and words[0] in COMMANDS)
+
+
+def test_every_status_is_explained_in_the_core_s_words():
+    source = (ROOT / "fortran/base/status.f90").read_text()
+    numbers = re.findall(r"public :: \w+ = (\d+)$", source, re.M)
+    rows = re.findall(r"^\| (\d+) \| (.*?) \| (.+?) \|$", PAGES["docs/troubleshooting.md"], re.M)
+    assert [number for number, _, _ in rows] == [number for number in numbers if status_message(int(number)) != "unknown status"]
+    assert len(rows) > 15 and all(status_message(int(number)) == words for number, words, _ in rows)
+
+
+def test_every_message_that_is_explained_is_one_that_can_be_met():
+    page = PAGES["docs/troubleshooting.md"].split("## At a point")[1].split("## In another code")[0]
+    messages = re.findall(r"^\| `(.+?)` \|", page, re.M)
+    source = "".join(path.read_text() for folder in ("python", "fortran/base") for path in sorted((ROOT / folder).rglob("*.*9*"))
+                     + sorted((ROOT / folder).rglob("*.py")))
+    source = re.sub(r'"\s*\n\s*\+?\s*f?"', "", source.replace('\\"', '"'))                # texts that go on in the next line
+    assert len(messages) > 20
+    parts = [part for message in messages for part in re.split(r" ?\.\.\. ?|\(\.\.\.\)", message) if part]
+    assert [part for part in parts if part not in source] == []
+
+
+def test_the_table_of_parameters_has_their_ranges_and_effects():
+    def steady(material):
+        columns = driver.state_columns(material, np.array(material.steady(0.60)).reshape(1))
+        return np.array([columns["p"][0], columns["stress_ratio"][0]])
+    rows = re.findall(r"^\| `(\w+)` \| [^|]+ \| ([^|]+) \| ([-+.\d]+) \| ([-+.\d]+) \|$", PAGES["docs/parameters.md"], re.M)
+    assert {name for name, _, _, _ in rows} == constant_ranges().keys() - {"b3"}
+    for name, allowed, *effects in rows:
+        value = 0.5 if name == "mu" else Material(0.5)[name]
+        changed = {name: 1.01 * value or 0.01}
+        change = 100 * (steady(Material(**{"mu": 0.5} | changed)) / steady(Material(0.5)) - 1)
+        assert allowed == describe_range(name)
+        np.testing.assert_allclose([float(effect) for effect in effects], change, atol=0.00501, err_msg=name)
 
 
 def test_the_page_of_the_c_interface_names_what_the_header_declares():
