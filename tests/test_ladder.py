@@ -377,3 +377,16 @@ def test_mistakes_are_named_before_anything_is_run(tmp_path):
     with pytest.raises(ValueError, match=r"tolerance = 2.*\n.*budget = 3"):
         ladder.climb(file, 2, tmp_path / "out", budget=3)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("step, keeps", [
+    ({"test": "dss", "strain": 0.1}, True), ({"test": "dss", "strain": 0.1, "control": "volume"}, False),
+    ({"test": "oedometer", "sigma_zz": 0.02}, True), ({"test": "oedometer", "compression": 0.01}, False),
+    ({"test": "triaxial-cyclic-drained", "number": 1, "stress_amplitude": 0.001}, True),
+    ({"test": "triaxial-cyclic-undrained", "number": 1, "stress_amplitude": 0.001}, False),
+    ({"test": "dss-cyclic", "number": 1, "amplitude": 0.01}, False),
+    ({"test": "dss-cyclic", "number": 1, "amplitude": 0.01, "control": "normal-load"}, True)])
+def test_the_critical_closure_starts_from_the_pressure_only_where_the_volume_is_free(step, keeps):
+    content = {"initial": {"state": "isotropic", "phi": 0.6, "pressure": 0.01}, "step": [step]}
+    critical = coarsen.closures(content).rungs[-1].change(content)
+    assert ("pressure" in critical["initial"]) == keeps and critical["material"]["closure"] == "critical"

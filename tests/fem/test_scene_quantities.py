@@ -124,7 +124,7 @@ def test_every_fault_of_a_files_quantities_and_regions_comes_in_one_message(tmp_
           "torque": "must be \"reaction x of SIDE",
           "reaction of inner": "must be \"reaction x of", "reaction z of inner": "the component 'z' must be one of x, y",
           "moment z of inner": "in plane strain there is one moment", "p at middle": "there is no probe 'middle': there are wall",
-          "q at wall": "the field 'q' must be one of x, y, phi, p", "mean x": "the field 'x' must be one of phi, p",
+          "speed at wall": "the field 'speed' must be one of x, y, phi, p", "mean x": "the field 'x' must be one of phi, p",
           "mean p of shell": "there is no region 'shell': there are core"}
     tables = "".join(f"[[quantity]]\nname = \"q{number}\"\nof = '{text}'\n" for number, text in enumerate(of))
     said = faults(tmp_path, RING.split("[[region]]")[0] + "[[region]]\nname = \"core\"\nring = [1, 2]\n" + tables
