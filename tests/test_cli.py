@@ -159,9 +159,8 @@ def test_the_result_of_a_ladder_is_printed_as_json(tmp_path):
 
 
 def test_output_that_nobody_reads_to_its_end_is_no_error(tmp_path):
-    command = f"{sys.executable} -m granumat example annulus | head -n 1"
-    result = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path)
-    assert result.stdout.startswith("# An annular") and result.stderr == ""
+    command = f"{sys.executable} -m granumat example annulus | true"
+    assert subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path).stderr == ""
 
 
 COMPLETIONS = [

@@ -218,6 +218,8 @@ def test_faulty_steps_name_every_fault():
         assert words in str(caught.value)
     with pytest.raises(ValueError, match="not independent"):
         driver.Step("odd", free=("e_xx", "2*e_xx"), stress={"p": "hold", "sigma_xx": "hold"})
+    with pytest.raises(ValueError, match="free deformations gamma, e_xz: not independent"):
+        driver.Step("odd", free=("gamma", "e_xz"), stress={"p": "hold", "sigma_xz": "hold"})
     with pytest.raises(ValueError, match="control 'volum': must be one of volume, pressure"):
         driver.shear(1.0, "volum")
 
@@ -241,3 +243,12 @@ def test_progress_counts_the_increments_of_steps_and_tables(material, monkeypatc
     assert said.getvalue().startswith("step 1 of 2, increment 100 of 300: 12%, ")
     shares = [line.split(": ")[1].split(",")[0] for line in said.getvalue().splitlines()]
     assert shares == ["12%", "25%", "38%", "50%", "62%", "75%", "88%", "100%"]
+
+
+def test_progress_tells_the_time_to_go_and_is_quiet_in_between(monkeypatch):
+    clock, said = iter([0.0, 1.9, 10.0, 11.0, 13.0]), io.StringIO()
+    monkeypatch.setattr("granumat.progress.time.monotonic", lambda: next(clock))
+    progress = Progress(said)
+    for share in (0.2, 0.25, 0.5, 0.65):
+        progress("so far", share)
+    assert said.getvalue() == "so far: 25%, 30 s to go\nso far: 65%, 7 s to go\n"

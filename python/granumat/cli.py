@@ -52,6 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             result = options.run(options)
         if options.json and not options.quiet:
             print(summaries.to_json(result))
+        sys.stdout.flush()
     except BrokenPipeError:                                      # what reads the output has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
