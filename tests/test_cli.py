@@ -18,6 +18,12 @@ ROOT = Path(__file__).parents[1]
 FAULTY = EXAMPLE.replace("mu = 0.5", "mu = 5").replace("phi = 0.60", "phi = 60")
 
 
+def undocumented(result, of):
+    """The keys of a result that its row in docs/results.md does not name."""
+    row, = re.findall(rf"^\| {of} \| (.*) \|$", (ROOT / "docs/results.md").read_text(), re.M)
+    return [key for key in result if f"`{key}`" not in row]
+
+
 def granumat(*arguments, cwd):
     return subprocess.run([sys.executable, "-m", "granumat", *map(str, arguments)], cwd=cwd, capture_output=True, text=True)
 
@@ -68,6 +74,9 @@ def test_check_says_everything_that_is_wrong_and_runs_nothing(tmp_path):
     result = granumat("check", "path.toml", cwd=tmp_path)
     assert result.returncode == 0 and result.stdout == "path.toml can be run: a path, steps: 3, increments: 401\n"
     assert [path.name for path in tmp_path.iterdir()] == ["path.toml"]
+    found = json.loads(granumat("check", "path.toml", "--json", cwd=tmp_path).stdout)
+    assert found["kind"] == "path" and found["steps"] == ["shear 1", "pause", "deformation"] and found["increments"] == 401
+    assert not undocumented(found, "`check` of a path")
 
 
 def test_check_of_a_scene_finds_what_only_its_mesh_shows(tmp_path):
@@ -75,6 +84,7 @@ def test_check_of_a_scene_finds_what_only_its_mesh_shows(tmp_path):
     text = (ROOT / "demos/scenes/shear-box.toml").read_text()
     (tmp_path / "scene.toml").write_text(text)
     found = json.loads(granumat("check", "scene.toml", "--json", cwd=tmp_path).stdout)
+    assert not undocumented(found, "`check` of a scene")
     assert found == {"kind": "scene", "cells": 16 * 8, "unknowns": 2 * 17 * 9, "until": 120, "increment": 1,
                      "quantities": ["shear-force", "phi"]}
     contradictory = "displacement = { y = 0 }\nplaten = \"y\""
@@ -119,6 +129,7 @@ def test_the_result_of_a_path_is_printed_as_json_and_nothing_else(tmp_path):
     assert [step["step"] for step in found["steps"]] == [0, 1, 2, 3]
     for row, step in zip((0, 200, 201, 401), found["steps"]):
         assert list(step) == list(driver.COLUMNS) and step["p"] == pytest.approx(table["p"][row], rel=1e-14)
+    assert not undocumented(found, "`point`")
     assert found["quantities"]["a"] == {"t": [1, 3], "value": [found["steps"][1]["p"], found["steps"][3]["p"]]}
 
 
@@ -133,6 +144,7 @@ def test_an_error_is_printed_as_json_with_every_fault(tmp_path):
         result = granumat(*command, "--json", cwd=tmp_path)
         found = json.loads(result.stdout)
         assert result.returncode == 2 and found["error"] == "path.toml cannot be run" and len(found["faults"]) == 2
+        assert not undocumented(found, "an error")
         assert "mu = 5.0" in found["faults"][0] and "phi = 60" in found["faults"][1]
 
 
@@ -144,6 +156,7 @@ def test_the_result_of_a_scene_is_printed_as_json(tmp_path):
         text = text.replace(old, new)
     (tmp_path / "scene.toml").write_text(text)
     found = json.loads(granumat("solve", "scene.toml", "--out", "out", "--json", cwd=tmp_path).stdout)
+    assert not undocumented(found, "`solve`")
     assert found["t"] == 2 and found["increments"] == 2 and "out/fields.xdmf" in found["files"]
     table = np.genfromtxt(tmp_path / "out/quantities.csv", delimiter=",", names=True)
     assert found["quantities"]["shear-force"] == {"t": [1, 2], "value": list(table["shearforce"])}
@@ -154,6 +167,7 @@ def test_the_result_of_a_ladder_is_printed_as_json(tmp_path):
                                         "increments = 20\n[[quantity]]\nname = \"ratio\"\nof = \"stress_ratio\"\n")
     result = granumat("ladder", "path.toml", "--tolerance", "0.2", "--out", "out", "--json", cwd=tmp_path)
     found = json.loads(result.stdout)
+    assert not undocumented(found | found["quantities"]["ratio"], "`ladder`")
     assert found["proved"] is True and found["quantities"]["ratio"]["error"] < 0.2 == found["quantities"]["ratio"]["tolerance"]
     assert set(found["choice"]) >= {"closure", "increment"} and found["recommended"]["step"] and found["runs"] > 3
 
