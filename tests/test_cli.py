@@ -178,7 +178,7 @@ def test_output_that_nobody_reads_to_its_end_is_no_error(tmp_path):
 
 
 COMPLETIONS = [
-    (["so"], "solve"), (["point", "--o"], "--out"), (["ladder", "file.toml", "--"], "--budget --help --json --out --tolerance"),
+    (["so"], "solve"), (["point", "--ou"], "--out"), (["ladder", "file.toml", "--"], "--budget --help --json --out --tolerance"),
     (["example", "oe"], "oedometer"), (["chart", "un"], "unjamming"), (["point", "demos"], ""), (["nothing", "-"], ""),
     (["completion", ""], "bash zsh"),
 ]

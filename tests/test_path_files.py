@@ -60,7 +60,7 @@ def test_the_example_runs_as_its_steps_say(tmp_path):
     "test = \"biaxial-undrained\"\ncompression = 0.01",
     "test = \"triaxial-drained\"\ncompression = 0.01",
     "test = \"triaxial-undrained\"\ncompression = 0.01",
-    "test = \"oedometer\"\ncompression = 0.001\nuntil = \"q/p > 5\"",
+    "test = \"oedometer\"\ncompression = 0.001",
     "test = \"dss\"\nstrain = 0.1",
     "test = \"dss-cyclic\"\nnumber = 2\namplitude = 0.01\ncontrol = \"normal-load\"",
     "velocity_gradient = [[0, 0, 1], [0, 0, 0], [0, 0, 0]]\nstrain = 0.1\nfree = [\"e_xx + e_yy\"]\nstress = { \"p\" = \"hold\" }",
