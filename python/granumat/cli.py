@@ -11,13 +11,16 @@ from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 from . import __version__, driver, installed, quantities
-from .errors import GranumatError
+from .errors import GranumatError, InterruptedRunError
+from .files import clear, locked, replacing
 from .paths import read_path_file
 from .studies.cases import CASES
 
 T = TypeVar("T")
 
 PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to meet the same error
+EXPECTED = (ValueError, OSError, ImportError, MemoryError, GranumatError)     # errors with words for the user
+OVERWRITE = "remove what an earlier run has left in the directory"
 PRINTED = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
 
 
@@ -38,10 +41,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.showwarning = _show_warning
     try:
         options.run(options)
-    except (ValueError, OSError, ImportError, GranumatError) as error:
+    except EXPECTED as error:
         if not options.quiet:
             print(f"granumat: {error}", file=sys.stderr)
         return 1 if isinstance(error, GranumatError) else 2
+    except KeyboardInterrupt:                                    # where there was nothing yet to keep
+        print("granumat: interrupted", file=sys.stderr)
+        return 1
     return 0
 
 
@@ -59,11 +65,14 @@ def _parser() -> argparse.ArgumentParser:
             added.add_argument("--out", type=Path, required=True, help="directory for what is written")
         return added
 
-    command("point", run_point, "run a path file at one material point").add_argument(
-        "path", type=Path, help="the path, a TOML file")
+    point = command("point", run_point, "run a path file at one material point")
+    point.add_argument("path", type=Path, help="the path, a TOML file")
+    point.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve = command("solve", run_solve, "run a scene file: a boundary-value problem on a mesh; under mpirun on several ranks")
     solve.add_argument("scene", type=Path, help="the scene, a TOML file")
-    solve.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
+    way = solve.add_mutually_exclusive_group()
+    way.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
+    way.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     ladder = command("ladder", run_ladder, "find the cheapest model that will do for a path or a scene, on all ranks of mpirun")
     ladder.add_argument("file", type=Path, help="the path or scene with its quantities of interest, a TOML file")
     ladder.add_argument("--tolerance", type=float, required=True,
@@ -101,15 +110,21 @@ def run_point(options: argparse.Namespace) -> None:
     """Run `granumat point`: history.csv, history.png, and the ends of the steps on screen."""
     from .plotting import history_figure
     path = read_path_file(options.path)
-    progress = driver.Progress(path.steps, sys.stderr)
-    try:
-        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic,
-                             path.quantities)
-    except GranumatError:
-        print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
-              f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
-        raise
-    history_figure(history, options.path.stem).savefig(options.out / "history.png", dpi=130)
+    with locked(options.out):
+        clear(options.out, options.overwrite, "give --overwrite to replace it, or another directory")
+        progress = driver.Progress(path.steps, sys.stderr)
+        try:
+            history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, progress, path.acoustic,
+                                 path.quantities)
+        except InterruptedRunError as error:
+            raise InterruptedRunError(f"{error}; what was computed is in {options.out / 'history.csv'}, "
+                                      "--overwrite runs the path from its start") from None
+        except GranumatError:
+            print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
+                  f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
+            raise
+        with replacing(options.out / "history.png") as picture:
+            history_figure(history, options.path.stem).savefig(picture, dpi=130, format="png")
     print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in PRINTED))
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
         print(f"{history['step'][row]:>5} " + " ".join(f"{history[name][row]:>12.6g}" for name in PRINTED))
@@ -120,7 +135,8 @@ def run_point(options: argparse.Namespace) -> None:
 def run_solve(options: argparse.Namespace) -> None:
     """Run `granumat solve`; the first rank speaks for all."""
     from .fem import scene
-    problem, written = _on_all_ranks(options, lambda: scene.solve(options.scene, options.out, options.resume, progress=sys.stderr))
+    problem, written = _on_all_ranks(options, lambda: scene.solve(
+        options.scene, options.out, options.resume, options.overwrite, progress=sys.stderr))
     if not options.quiet:
         print(f"t = {problem.t:g} after {problem.increments} increments")
         _say_written(written)
@@ -161,8 +177,7 @@ def _on_all_ranks(options: argparse.Namespace, action: Callable[[], T]) -> T:
     try:
         return action()
     except BaseException as error:
-        expected = isinstance(error, (ValueError, OSError, ImportError, GranumatError))
-        if not (expected and _all_ranks_come(comm)):
+        if not (isinstance(error, EXPECTED) and _all_ranks_come(comm)):
             traceback.print_exc()
             MPI.COMM_WORLD.Abort(1)                              # or the other ranks would wait for ever
         raise

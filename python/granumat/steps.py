@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import tensors
-from .checks import attempt, is_finite_number, is_positive_integer, refuse
+from .checks import COUNT, attempt, is_finite_number, is_positive_integer, refuse
 from .history import stop_condition
 
 TOLERANCE = 1e-6            # default error of what evolves in a substep where stresses are held
@@ -115,7 +115,7 @@ class Step:
     def __post_init__(self) -> None:
         faults: list[str] = []
         if not is_positive_integer(self.increments):
-            faults.append(f"increments = {self.increments!r}: must be an integer, at least 1")
+            faults.append(f"increments = {self.increments!r}: must be {COUNT}")
         if not is_finite_number(self.strain):
             faults.append(f"strain = {self.strain!r}: must be a finite number")
         if not callable(self.gradient) and not _is_gradient(self.gradient):
@@ -242,7 +242,7 @@ def cycles(amplitude: float, number: int, control: str = "volume", increments: i
     list of Step
     """
     if not is_positive_integer(number):
-        raise ValueError(f"cycles = {number!r}: must be an integer, at least 1")
+        raise ValueError(f"cycles = {number!r}: must be {COUNT}")
     return [shear(sign * amplitude, control, increments) for _ in range(number) for sign in (1, -1)]
 
 
