@@ -129,6 +129,8 @@ def choose(kind: str, name: object, allowed: Sequence[str], faults: list[str]) -
     """
     if isinstance(name, str) and name in allowed:
         return allowed.index(name)
-    near = difflib.get_close_matches(str(name), allowed, 1)
-    faults.append(f"{kind} {name!r}: must be one of {', '.join(allowed)}" + (f" (did you mean {near[0]!r}?)" if near else ""))
+    by_lower = {entry.lower(): entry for entry in allowed}
+    near = difflib.get_close_matches(str(name).lower(), by_lower, 1)
+    faults.append(f"{kind} {name!r}: must be one of {', '.join(allowed)}" + (
+        f" (did you mean {by_lower[near[0]]!r}?)" if near else ""))
     return 0

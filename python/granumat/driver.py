@@ -123,7 +123,8 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
     if failure:
         raise PathError(failure.message, history)
     if stop() and history.times[-1] < len(steps):
-        raise InterruptedRunError(f"{stop()} has ended the path in step {number} ({step.name}), after {len(history) - 1} increments")
+        raise InterruptedRunError(f"{stop()} has ended the path in step {number} ({step.name}), after {len(history) - 1} "
+                                  "increments")
     return history
 
 

@@ -177,9 +177,10 @@ class Material:
         vars(self).update(                                       # past __setattr__
             closure=closure, contact=contact, friction=friction, calibration=calibration, method=method, spin=spin,
             constants=MappingProxyType(dict(zip(names + list(DERIVED), par.tolist()))), _par=par,
-            _scheme=(method_number, spin_number, method_tolerance), _given={
-                "mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
-                "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance, **constants})
+            _scheme=(method_number, spin_number, method_tolerance),
+            _given={"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
+                    "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance,
+                    **constants})
 
     def __setattr__(self, name: str, value: object) -> None:
         raise TypeError(f"{name} cannot be set: a material does not change; make another one, "
@@ -290,17 +291,17 @@ class Material:
             A state is not finite, its fabric or phi is out of range, or its pressure is not what this material's law gives for its
             microstructure: it belongs to another material.
         """
-        states = np.atleast_1d(_records(states)).reshape(-1)
-        numbers, fabric, phi = core.numbers(states), states["fabric"], states["volume_fraction"]
-        usable = np.isfinite(numbers).all(axis=1)
+        records = _records(states).reshape(-1)
+        fabric, phi = records["fabric"], records["volume_fraction"]
+        usable = np.isfinite(core.numbers(records)).all(axis=1)
         faults = [(~usable, "holds numbers that are not finite"),
                   (usable & ~((phi > 0) & (phi < 1)), "has a volume fraction outside (0, 1)"),
                   (usable & (tensors.magnitude(fabric) >= self["fabric_limit"]),
                    f"has a fabric of abs(A) not below this material's fabric_limit, {self['fabric_limit']:.6g}")]
         usable &= ~np.any([found for found, _ in faults], axis=0)
-        p = -tensors.trace(states["stress"]) / 3
+        p = -tensors.trace(records["stress"]) / 3
         law = p.copy()
-        law[usable] = -tensors.trace(self.evaluate(states[usable])[0]) / 3
+        law[usable] = -tensors.trace(self.evaluate(records[usable])[0]) / 3
         differs = usable & ~(abs(p - law) <= PRESSURE_TOLERANCE * np.maximum(abs(p), abs(law)))
         if differs.any():
             first = int(np.flatnonzero(differs)[0])

@@ -170,8 +170,8 @@ def resume(path: str | Path, problem: Problem, outputs: Sequence[Output] = ()) -
     problem.restore(_snapshot(problem, description, {name: order.scatter(arrays.get(name)) for name in shapes}))
     difference, place = problem.lag_of_prescribed()
     if difference > DISPLACEMENT_TOLERANCE * problem.body.size:
-        raise ValueError(f"{path} belongs to another problem:\n  displacements that conditions prescribe at t = {problem.t:g} are up to "
-                         f"{difference:.3g} away from those in the checkpoint, at {format_position(place)}")
+        raise ValueError(f"{path} belongs to another problem:\n  displacements that conditions prescribe at t = {problem.t:g} are "
+                         f"up to {difference:.3g} away from those in the checkpoint, at {format_position(place)}")
     for output in outputs:
         bookmark = description["outputs"].get(output.path.name)
         if bookmark is not None:

@@ -76,8 +76,8 @@ def _value_at(value: Any, t: float, kind: str, shape: tuple[int, ...]) -> np.nda
     """A load's value at pseudo-time t; ValueError, the same on all ranks, if it is not finite or of another shape."""
     found = real_array(f"a {kind}'s value", value(t) if callable(value) else value)
     if found.shape != shape or not np.isfinite(found).all():
-        raise ValueError(f"a {kind}'s value at t = {t:g} is {found.tolist()}: must be {'a finite number' if not shape else 'finite'}"
-                         + (f" and have {shape[0]} components" if shape else ""))
+        words = f"{shape[0]} finite numbers" if shape else "a finite number"
+        raise ValueError(f"a {kind}'s value at t = {t:g} is {found.tolist()}: must be {words}")
     return found
 
 

@@ -1,5 +1,6 @@
 """From nodal displacements to the unknowns that the conditions leave: local axes, prescribed values, ties, periodic sides."""
 
+from collections import ChainMap
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -116,7 +117,8 @@ class Numbering:
         x = self._body.positions[nodes]
         partners = np.asarray(condition.partner(x), float)
         if partners.shape != x.shape:
-            raise ValueError(f"a Periodic condition's partner returns shape {partners.shape} for x of shape {x.shape}: must be the same")
+            raise ValueError(f"a Periodic condition's partner returns shape {partners.shape} for x of shape {x.shape}: must be the "
+                             "same")
         return partners
 
     def _label_periodic(self, nodes: np.ndarray, partners: np.ndarray, faults: list[str]) -> None:
@@ -157,21 +159,18 @@ class Numbering:
 
     def free_motions(self) -> list[str]:
         """Rigid motions, in words, that neither prescribed displacements, ties nor periodic sides hinder; collective."""
-        motions = _rigid_motions(self._body.positions / self._body.size)
-        along_axes = np.einsum("nij,nim->njm", self.axes, motions)
-        shifted = self.labels != self._own_labels
-        wanted = sorted(set().union(*self._comm.allgather(set(self.labels[shifted & (self.labels >= 0)].tolist()))))
+        motions = np.einsum("nij,nim->njm", self.axes, _rigid_motions(self._body.positions / self._body.size))
+        tied = self.labels != self._own_labels                   # prescribed, or with the equation of another component
+        wanted = set().union(*self._comm.allgather(set(self.labels[tied].tolist())))
         owned = self._own_labels[:self._body.owned_nodes]
-        mine = {label: value for label, value in zip(owned[np.isin(owned, wanted)].tolist(),
-                                                     along_axes[:self._body.owned_nodes][np.isin(owned, wanted)])}
-        found = {label: value for of_rank in self._comm.allgather(mine) for label, value in of_rank.items()}
-        rows = along_axes[shifted] - np.array([found.get(label, np.zeros(motions.shape[2])) for label in
-                                               self.labels[shifted].tolist()]).reshape(-1, motions.shape[2])
-        hindered = self._comm.allreduce(rows.T @ rows)
-        values, vectors = np.linalg.eigh(hindered)
-        free = vectors[:, values <= FREE * max(1.0, values[-1])]
-        names = MOTIONS[self._body.d]
-        return [names[i] for i in range(len(names)) if np.linalg.norm(free[i]) > SHARE]
+        sought = np.isin(owned, list(wanted))
+        mine = dict(zip(owned[sought].tolist(), motions[:self._body.owned_nodes][sought]))
+        by_label = dict(ChainMap({PRESCRIBED: np.zeros(motions.shape[2])}, *self._comm.allgather(mine)))
+        same = np.array([by_label[label] for label in self.labels[tied].tolist()])
+        differences = motions[tied] - same.reshape(-1, motions.shape[2])
+        hindrance, combinations = np.linalg.eigh(self._comm.allreduce(differences.T @ differences))
+        free = combinations[:, hindrance <= FREE * max(1.0, hindrance[-1])]
+        return [name for name, shares in zip(MOTIONS[self._body.d], free) if np.linalg.norm(shares) > SHARE]
 
     def to_axes(self, vectors: np.ndarray) -> np.ndarray:
         """Components (nodes, d) along the nodes' axes of vectors (nodes, d) along x y (z)."""

@@ -144,7 +144,7 @@ class Problem:
         self.shear_strain, self.volume_strain = np.zeros(points), np.zeros(points)
         self.loads = Loads(self.body, self.conditions, gravity, self.states["volume_fraction"] * self.point_volumes())
 
-    def _initial_states(self) -> np.ndarray:
+    def _initial_states(self) -> Any:
         x = self.point_positions()
         states = self.initial(x) if callable(self.initial) else self.initial
         self.material.check_start(states)
@@ -173,8 +173,8 @@ class Problem:
 
     def lag_of_prescribed(self) -> tuple[float, np.ndarray]:
         """How far the displacements are from those prescribed now at most, and the position at the start where; collective."""
-        lag = np.where(self.numbering.is_prescribed,
-                       abs(self.numbering.prescribed(self.t) - self.numbering.to_axes(self.displacement)), 0).max(axis=1, initial=0.0)
+        lag = abs(self.numbering.prescribed(self.t) - self.numbering.to_axes(self.displacement))
+        lag = np.where(self.numbering.is_prescribed, lag, 0).max(axis=1, initial=0.0)
         node = int(np.argmax(lag)) if len(lag) else None
         own = (0.0, []) if node is None else (float(lag[node]), self.positions[node].tolist())
         largest, position = max(self.comm.allgather(own))
@@ -455,8 +455,8 @@ def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[ob
     faults = []
     cells = mesh.comm.allgather(mesh.topology.index_map(mesh.topology.dim).size_local)
     if not all(cells):
-        faults.append(f"the mesh has {sum(cells)} cells, and {cells.count(0)} of the {len(cells)} processes got none of them: take fewer "
-                      "processes")
+        faults.append(f"the mesh has {sum(cells)} cells, and {cells.count(0)} of the {len(cells)} processes got none of them: take "
+                      "fewer processes")
     if d not in (2, 3) or mesh.topology.dim != d:
         faults.append(f"the mesh has cells of dimension {mesh.topology.dim} in {d} dimensions: must be 2 in 2 or 3 in 3")
     if degree not in (1, 2):

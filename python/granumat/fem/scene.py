@@ -30,14 +30,13 @@ from .problem import Problem
 from .quantities import Quantities
 from .reduction import modelled
 from .scene_data import BOX_SIDES, Function, Resting, Scene, SideConditions
-from .scene_file import read_scene
+from .scene_file import ON_SIDE, read_scene
 from .tables import Probe, Reactions
 
 WAYS_OUT = "give --resume to go on with it, --overwrite to replace it, or another directory"
 CHECKPOINT = "checkpoint.npz"
 DEPTH_STEPS = 20                    # over which the weight is summed where phi depends on the depth
 ZERO = Function((0.0,), (0.0,))
-ON_SIDE = 1e-6                      # over the body's size: a facet as close as that to a side's place lies on it
 
 
 def resting(material: Material, volume_fraction: float, weight: float, top: float, pressure: float = 0.0,

@@ -74,7 +74,7 @@ class Reactions(Table):
         self.append_row(problem.comm, row)
 
 
-def vector_as_json(vector: Sequence[float] | None) -> list[float] | None:
+def vector_as_json(vector: Sequence[float] | np.ndarray | None) -> list[float] | None:
     """A vector as JSON has it."""
     return None if vector is None else [float(value) for value in vector]
 
@@ -119,7 +119,7 @@ class MaterialPoint:
 
     def __init__(self, position: Sequence[float], symmetry: Symmetry = WHOLE) -> None:
         self.position = real_array("position", position)
-        self.symmetry, self.places = symmetry, symmetry.places(self.position)
+        self.symmetry, self.places = symmetry, symmetry.places(self.position.tolist())
         self._found: tuple[int, int, Place] | None = None
 
     def columns(self, problem: Problem) -> dict[str, float]:

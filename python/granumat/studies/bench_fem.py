@@ -46,8 +46,8 @@ PHASES = ("material", "coupling", "assembly", "solution")
 def shear_cell(comm: MPI.Comm, n: int, **options: Any) -> Problem:
     """A cube of n**3 hexahedra with periodic sides in simple shear at constant volume.
 
-    Fabric and shear stress are 0.3 of those of the steady state, the pressure is the law's, and the volume fraction varies in space. Options are further
-    arguments of Problem.
+    Fabric and shear stress are 0.3 of those of the steady state, the pressure is the law's, and the volume fraction varies in
+    space. Options are further arguments of Problem.
     """
     material = Material(0.5, elastic_strain=1e-2)
 
