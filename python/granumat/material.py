@@ -656,8 +656,8 @@ def _remake(given: dict[str, Any]) -> Material:
 def _components(name: str, value: ArrayLike, faults: list[str]) -> np.ndarray:
     """Six components from what was given for a tensor; 0 and a fault if it is no symmetric tensor of finite numbers."""
     try:
-        value = np.asarray(value, float)
-    except (TypeError, ValueError):
+        value = real_array(name, value)
+    except TypeError:
         value = np.full(0, np.nan)
     if value.shape == (3, 3) and np.allclose(value, value.T, rtol=0, atol=1e-14):
         value = tensors.to_voigt(value)

@@ -1,7 +1,7 @@
 """Meshes of the standard geometries and of gmsh files."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +9,7 @@ import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
-from ..checks import LARGEST_COUNT, is_positive_integer, refuse
+from ..checks import LARGEST_COUNT, is_finite_number, is_positive_integer, refuse
 from ._compat import FacetTags, create_mesh, gmsh_reader, quiet_compiler
 
 CELL_SHAPES = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}
@@ -174,13 +174,13 @@ def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | 
     """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
     d = 2 if height is None else 3
     faults = _cell_faults(cells, cell, d)
-    if len(radii) != 2 or not 0 < radii[0] < radii[1]:
+    if not _are_positive(radii, 2) or not radii[0] < radii[1]:
         faults.append(f"radii = {radii!r}: must be 2 numbers above 0, the smaller first")
-    if height is not None and not height > 0:
+    if height is not None and not _are_positive([height], 1):
         faults.append(f"height = {height!r}: must be a number above 0")
-    if not grading > 0:
+    if not _are_positive([grading], 1):
         faults.append(f"grading = {grading!r}: must be a number above 0")
-    if not 0 < angle <= 2 * np.pi:
+    if not is_finite_number(angle) or not 0 < angle <= 2 * np.pi:
         faults.append(f"angle = {angle!r}: must be above 0 and at most 2 pi")
     elif not faults and cells[1] * 2 * np.pi < 3 * angle:
         faults.append(f"cells = {cells!r}: must be 3 sectors or more a turn")
@@ -191,22 +191,28 @@ def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | 
 def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None,
               grading: Sequence[float] | None = None) -> str:
     """The name of the cells' shape; ValueError where box cannot be made of its arguments."""
-    d = len(size)
+    d = len(size) if isinstance(size, Sized) else 0
     if d not in CELL_SHAPES:
         raise ValueError(f"the mesh cannot be made:\n  size = {size!r}: must be 2 or 3 numbers above 0")
     faults = _cell_faults(cells, cell, d)
-    if not all(length > 0 for length in size):
+    if not _are_positive(size, d):
         faults.append(f"size = {size!r}: must be {d} numbers above 0")
-    if grading is not None and (len(grading) != d or not all(ratio > 0 for ratio in grading)):
+    if grading is not None and not _are_positive(grading, d):
         faults.append(f"grading = {grading!r}: must be {d} numbers above 0")
     refuse("the mesh cannot be made", faults)
     return cell or CELL_SHAPES[d][0]
 
 
+def _are_positive(values: object, count: int) -> bool:
+    """Whether values are a sequence of so many finite numbers above 0."""
+    return (isinstance(values, (Sequence, np.ndarray)) and len(values) == count
+            and all(is_finite_number(value) and value > 0 for value in values))
+
+
 def _cell_faults(cells: Sequence[int], cell: str | None, d: int) -> list[str]:
     """What is wrong with the numbers of cells along the axes of a mesh in d dimensions, and with their shape."""
     faults = []
-    if len(cells) != d or not all(map(is_positive_integer, cells)):
+    if not isinstance(cells, Sized) or len(cells) != d or not all(map(is_positive_integer, cells)):
         faults.append(f"cells = {cells!r}: must be {d} integers above 0")
     elif math.prod(cells) > LARGEST_COUNT:
         faults.append(f"cells = {cells!r}: must be {LARGEST_COUNT} together at most")
