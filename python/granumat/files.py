@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 LOCK = ".granumat.lock"             # in the directory of a run; that it is there says nothing, a process must hold it
+LONGEST_HOLDER = 1000               # bytes in it
 NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)                       # of file systems without locks
 RUN_FILES = re.compile(r"(history\.csv|history\.png|failing\.toml|quantities\.csv|reactions\.csv|probe-[\w-]+\.csv|fields\.xdmf"
                        r"|fields(\.\d+)?\.bin|checkpoint\.npz|[A-Za-z]\w*-\d{6}\.png)(\.part)?")
@@ -70,22 +71,24 @@ def locked(directory: str | Path) -> Iterator[None]:
     """
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
-    with open(directory / LOCK, "a+", encoding="utf-8") as lock:
+    lock = os.open(directory / LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            lock.seek(0)
-            raise ValueError(f"{directory}: another run is writing there ({lock.read().strip() or 'it begins now'}): "
+            holder = os.read(lock, LONGEST_HOLDER).decode(errors="replace").strip()
+            raise ValueError(f"{directory}: another run is writing there ({holder or 'it begins now'}): "
                              "wait for its end, or take another directory") from None
         except OSError as error:
             if error.errno not in NO_LOCKS:
                 raise
             warnings.warn(f"{directory} is on a file system without locks: see to it that no other run writes there", stacklevel=3)
         with naming(directory / LOCK):
-            lock.truncate(0)
-            lock.write(f"process {os.getpid()} on {os.uname().nodename}\n")
-            lock.flush()
+            os.ftruncate(lock, 0)
+            os.write(lock, f"process {os.getpid()} on {os.uname().nodename}\n".encode())
         yield
+    finally:
+        os.close(lock)
 
 
 def run_files(directory: str | Path) -> list[Path]:

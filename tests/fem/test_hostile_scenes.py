@@ -117,7 +117,7 @@ SCENES = [
     (BOX + '[[region]]\nname = "a"\n', "must have either box or ring"),
     (BOX + '[[region]]\nname = "a"\nbox = [[1, 1], [0, 0]]\n', "box = [[1, 1], [0, 0]]"),
     (BOX + '[[region]]\nname = "a"\nring = [2, 1]\n', "ring = [2, 1]"),
-    (BOX + '[[region]]\nname = "a"\nbox = [[5, 5], [6, 6]]\n[[quantity]]\nname = "b"\nof = "mean p of a"\n', "no integration point"),
+    (BOX + '[[region]]\nname = "a"\nbox = [[5, 5], [6, 6]]\n[[quantity]]\nname = "b"\nof = "mean p of a"\n', "integration point"),
     (quantity('of = "reaction x of lid"'), "there is no side that a condition holds 'lid'"),
     (quantity('of = "reaction z of top"'), "'z' must be one of x, y"), (quantity('of = "p at here"'), "there is no probe 'here'"),
     (quantity('of = "mean q"'), "'q' must be one of"), (quantity('of = "force"'), "must be \"reaction x of SIDE\""),

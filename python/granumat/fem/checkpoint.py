@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -77,7 +77,7 @@ class Checkpoint:
         def replace_file() -> None:
             description["outputs"] = {output.path.name: output.bookmark() for output in self.outputs}
             with replacing(self.path) as partial, open(partial, "wb") as stream:
-                np.savez(stream, description=json.dumps(description, default=float), **arrays)
+                _save(stream, arrays | {"description": np.array(json.dumps(description, default=float))})
                 stream.flush()
                 os.fsync(stream.fileno())
             directory = os.open(self.path.parent, os.O_RDONLY)
@@ -86,6 +86,14 @@ class Checkpoint:
             os.close(directory)
         on_rank_0(problem.comm, replace_file)
         self.written, self._last_clock = problem.t, time.monotonic()
+
+
+def _save(stream: BinaryIO, arrays: dict[str, np.ndarray]) -> None:
+    """Writes arrays as numpy.savez does, which leaves its archive open where a write fails."""
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asarray(values), allow_pickle=False)
 
 
 def _numbers(problem: Problem, last: Trial) -> dict[str, float | None]:

@@ -98,7 +98,7 @@ def _faults(problem: Problem, until: float, largest: Callable[[float], float], s
         faults.append(f"smallest = {smallest!r}: must be above 0, at least {shortest:g} and at most the increment")
     free = problem.numbering.free_motions()
     if free:
-        faults.append(f"nothing holds the body against {', '.join(free)}: give it a Displacement, a pressure or a tie is not enough")
+        faults.append(f"nothing holds the body against {', '.join(free)}: give it a Displacement, for a pressure or a tie does not")
     return faults
 
 
