@@ -5,8 +5,8 @@ import fcntl
 import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +89,14 @@ def locked(directory: str | Path) -> Iterator[None]:
         yield
     finally:
         os.close(lock)
+
+
+@contextmanager
+def locked_by_one(on_one: Callable[[Callable[[], None]], object], directory: str | Path) -> Iterator[None]:
+    """As locked, for all ranks by the one on which `on_one` calls a function; collective where it is entered."""
+    with ExitStack() as stack:                                   # empty on the others
+        on_one(lambda: stack.enter_context(locked(directory)))
+        yield
 
 
 def run_files(directory: str | Path) -> list[Path]:

@@ -16,7 +16,10 @@ from mpi4py import MPI
 from granumat import GranumatError, Material, cli, driver, fem
 from granumat.errors import InterruptedRunError
 from granumat.fem import control, scene
+from granumat.fem.ladder import Monitor, SceneRunner
 from granumat.files import LOCK, locked, run_files
+from granumat.runs import Runs
+from granumat.toml import read_toml
 from support.ranks import ENVIRONMENT, on_ranks
 from support.scenes import BOX, read_table, replaced, written
 from support.xdmf import records
@@ -158,6 +161,24 @@ def test_a_signal_ends_a_path_and_its_history_is_kept(tmp_path, capsys, monkeypa
     assert cli.main(command) == 2 and cli.main([*command, "--overwrite"]) == 1
 
 
+def test_a_signal_ends_a_ladder_that_goes_on_when_it_is_called_again(tmp_path, monkeypatch):
+    text = replaced(BOX, {"until = 6": "until = 3"}) + '[[quantity]]\nname = "force"\nof = "reaction x of top"\n'
+    runner = SceneRunner(written(tmp_path, text))
+    content = {name: table for name, table in read_toml(tmp_path / "scene.toml").items() if name != "ladder"}
+    expected = Runs(runner, tmp_path / "whole").get(content, "all")
+    write = Monitor._write
+
+    def signalling(monitor, problem):
+        write(monitor, problem)
+        if problem.t == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+    with monkeypatch.context() as patch, pytest.raises(InterruptedRunError, match="the ladder goes on from there"):
+        patch.setattr(Monitor, "_write", signalling)
+        Runs(runner, tmp_path / "again").get(content, "all")
+    again = Runs(runner, tmp_path / "again").get(content, "all")
+    np.testing.assert_allclose(again.table["force"], expected.table["force"], rtol=1e-8)
+
+
 def test_a_path_that_takes_long_is_written_now_and_then(tmp_path, monkeypatch):
     monkeypatch.setattr(driver, "KEEP_SECONDS", 0.0)
     monkeypatch.setattr(driver, "KEEP_FACTOR", 0.0)
@@ -204,7 +225,8 @@ def test_a_second_run_is_kept_out_while_the_first_goes_on(tmp_path):
 
 
 def test_the_lock_of_a_killed_run_does_not_hold(tmp_path):
-    script = "import sys, time\nfrom granumat.files import locked\nwith locked(sys.argv[1]):\n  print('in', flush=True); time.sleep(60)"
+    script = ("import sys, time\nfrom granumat import files\n"
+              "with files.locked(sys.argv[1]):\n  print('in', flush=True); time.sleep(60)")
     with subprocess.Popen([sys.executable, "-c", script, tmp_path], stdout=subprocess.PIPE) as other:
         assert other.stdout.readline() == b"in\n"
         with pytest.raises(ValueError, match=f"process {other.pid} on"), locked(tmp_path):

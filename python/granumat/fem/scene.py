@@ -1,7 +1,6 @@
 """Builds what a scene file says on its mesh, and runs it."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -13,7 +12,7 @@ from mpi4py import MPI
 from ..checks import refuse
 from ..core import STATE
 from ..errors import InterruptedRunError
-from ..files import clear, locked, run_files
+from ..files import clear, locked_by_one, run_files
 from ..material import Material
 from ..quantities import QUANTITIES_FILE
 from . import meshes
@@ -267,7 +266,7 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, overwrite: b
     scene, out = read_scene(path), Path(out)
     if resumed:
         on_rank_0(comm, lambda: _check_checkpoint(out))
-    with _locked_on_rank_0(comm, out):
+    with locked_by_one(lambda action: on_rank_0(comm, action), out):
         problem, held = problem_of(scene, comm)
         outputs = _outputs(scene, held, out)
         checkpoint = Checkpoint(out / CHECKPOINT, outputs, **scene.output.checkpoint)
@@ -288,18 +287,6 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, overwrite: b
                              f"--resume goes on from the checkpoint at t = {checkpoint.written:g}")) from None
         _write_all(problem, outputs, checkpoint)
     return problem, [output.path for output in outputs if not isinstance(output, Pictures)] + [checkpoint.path]
-
-
-@contextmanager
-def _locked_on_rank_0(comm: MPI.Comm, directory: Path) -> Iterator[None]:
-    """As locked, by rank 0 for all; collective where it is entered."""
-    lock = locked(directory)
-    on_rank_0(comm, lock.__enter__)
-    try:
-        yield
-    finally:
-        if comm.rank == 0:
-            lock.__exit__(None, None, None)
 
 
 def _check_checkpoint(out: Path) -> None:
