@@ -1,9 +1,10 @@
 """Malformed path files and scene files: each is refused in words that name its fault, or runs rightly."""
 
-import numpy as np
 import pytest
 
-from granumat import cli
+from granumat import Material, cli, driver
+from granumat.errors import UnmetConditionWarning
+from granumat.paths import read_path_file
 
 MATERIAL, INITIAL, STEP = "mu = 0.5", 'phi = 0.6\nstate = "steady"', "shear = 0.01\nincrements = 2"
 HUGE = 12345678901234567890
@@ -147,12 +148,21 @@ def test_a_malformed_table_is_refused_in_words(capsys, tmp_path, number):
     assert (status, words in error, "table.csv" in error or "step 1" in error) == (2, True, True), error
 
 
-def test_a_byte_order_mark_does_no_harm(capsys, tmp_path):
+def test_a_byte_order_mark_does_no_harm(tmp_path):
     (tmp_path / "table.csv").write_bytes("\ufeffgamma\r\n0\r\n0.1\r\n".encode())
-    assert said(capsys, tmp_path, "point", "\ufeff" + path(step='csv = "table.csv"').lstrip()) == (0, "")
-    assert np.genfromtxt(tmp_path / "out/history.csv", delimiter=",", names=True)["gamma"][-1] == 0.1
+    (tmp_path / "file.toml").write_text("\ufeff" + path(step='csv = "table.csv"').lstrip(), encoding="utf-8")
+    found = read_path_file(tmp_path / "file.toml")
+    assert driver.run(found.material, found.state, found.steps)["gamma"].tolist() == [0.0, 0.1]
 
 
-def test_a_condition_that_is_never_met_is_said(capsys, tmp_path):
-    status, error = said(capsys, tmp_path, "point", path(step=STEP + '\nuntil = "p < 0"'))
-    assert status == 0 and "step 1 (shear 0.01): its condition until = 'p < 0' was not met" in error
+def test_a_condition_that_is_never_met_is_said(tmp_path):
+    (tmp_path / "file.toml").write_text(path(step=STEP + '\nuntil = "p < 0"'))
+    found = read_path_file(tmp_path / "file.toml")
+    with pytest.warns(UnmetConditionWarning, match="step 1 .shear 0.01.: its condition until = 'p < 0' was not met"):
+        assert len(driver.run(found.material, found.state, found.steps)) == 3
+
+
+def test_a_condition_that_is_met_is_not_complained_of(recwarn):
+    sand = Material(0.5)
+    driver.run(sand, sand.steady(0.6), [driver.shear(1.0, until="gamma > 0.3"), driver.shear(0.1, until="steady")])
+    assert not recwarn

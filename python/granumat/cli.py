@@ -2,6 +2,7 @@
 
 import argparse
 import logging
+import os
 import sys
 import time
 import traceback
@@ -21,6 +22,7 @@ T = TypeVar("T")
 PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to meet the same error
 EXPECTED = (ValueError, OSError, ImportError, MemoryError, GranumatError)     # errors with words for the user
 OVERWRITE = "remove what an earlier run has left in the directory"
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK")       # in the environment of what mpirun or srun has started
 PRINTED = ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz")
 
 
@@ -109,6 +111,8 @@ def _say_written(filenames: Iterable[Path]) -> None:
 def run_point(options: argparse.Namespace) -> None:
     """Run `granumat point`: history.csv, history.png, and the ends of the steps on screen."""
     from .plotting import history_figure
+    if _is_idle_rank(options):
+        return
     path = read_path_file(options.path)
     with locked(options.out):
         clear(options.out, options.overwrite, "give --overwrite to replace it, or another directory")
@@ -159,7 +163,9 @@ def run_ladder(options: argparse.Namespace) -> None:
 
 
 def _is_idle_rank(options: argparse.Namespace) -> bool:
-    """Whether this is a rank to which a path, which has one point, gives nothing to do."""
+    """Whether this is a rank of mpirun to which a path, which has one point, gives nothing to do."""
+    if not any(name in os.environ for name in RANK_VARIABLES):
+        return False
     try:
         from mpi4py import MPI
     except ImportError:

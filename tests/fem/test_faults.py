@@ -179,6 +179,15 @@ def test_a_signal_ends_a_ladder_that_goes_on_when_it_is_called_again(tmp_path, m
     np.testing.assert_allclose(again.table["force"], expected.table["force"], rtol=1e-8)
 
 
+@pytest.mark.slow
+@pytest.mark.release_only
+def test_a_path_on_two_ranks_is_followed_by_one(tmp_path):
+    (tmp_path / "path.toml").write_text(PATH)
+    done = subprocess.run(on_ranks(2, "-m", "granumat", "point", "path.toml", "--out", "out"), cwd=tmp_path, capture_output=True,
+                          text=True, env=ENVIRONMENT)
+    assert done.returncode == 0 and done.stdout.count("wrote out/history.csv") == 1, done.stderr
+
+
 def test_a_path_that_takes_long_is_written_now_and_then(tmp_path, monkeypatch):
     monkeypatch.setattr(driver, "KEEP_SECONDS", 0.0)
     monkeypatch.setattr(driver, "KEEP_FACTOR", 0.0)

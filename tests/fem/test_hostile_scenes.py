@@ -134,3 +134,38 @@ def test_a_malformed_scene_file_is_refused_in_words(tmp_path, number):
         scene.solve(written(tmp_path, text), tmp_path / "out")
     assert words in str(caught.value)
     assert not list(tmp_path.glob("out/*.csv"))
+
+
+GEO = """
+SetFactory("OpenCASCADE");
+Rectangle(1) = {0, 0, 0, 1, 0.5};
+Rectangle(2) = {1, 0, 0, 1, 0.5};
+Coherence;
+Physical Surface(1) = {1, 2};
+Physical Curve("sides") = {1, 2};
+Mesh.CharacteristicLengthMax = 0.25;
+"""
+
+
+@pytest.mark.parametrize("old, new, dimension, words", [
+    ("Mesh.", "Recombine Surface {1};\nMesh.", 2, "has cells of the kinds Quadrilateral 4, Triangle 3: must be of one kind"),
+    ("Physical Surface(1) = {1, 2};", "", 2, "must have a physical group of surfaces"),
+    ("Physical Surface(1) = {1, 2};", "Physical Surface(1) = {1, 2};\nPhysical Surface(2) = {2};", 2, "several physical groups"),
+    ("{1, 0, 0, 1, 0.5};", "{1, 0, 0, 1, 0.5};\nRotate {{1, 0, 0}, {0, 0, 0}, 0.3} { Surface{1, 2}; }", 2, "must be flat"),
+    ("Mesh.", "Mesh.", 1, "has no cells"),
+])
+def test_a_gmsh_file_of_other_cells_is_refused_in_words(tmp_path, old, new, dimension, words):
+    import gmsh
+    (tmp_path / "body.geo").write_text(replaced(GEO, {old: new}))
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.open(str(tmp_path / "body.geo"))
+    gmsh.model.mesh.generate(dimension)
+    gmsh.write(str(tmp_path / "body.msh"))
+    gmsh.finalize()
+    text = replaced(GMSH, {'on = ["left", "right"]\nperiodic = true': 'on = "sides"\npressure = 0.007'})
+    with pytest.raises(ValueError, match=f"body.msh: .*{words}"):
+        scene.solve(written(tmp_path, text), tmp_path / "out")
+    (tmp_path / "body.msh").write_text("no mesh")
+    with pytest.raises(ValueError, match="cannot be read by gmsh"):
+        scene.solve(tmp_path / "scene.toml", tmp_path / "out")
