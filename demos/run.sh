@@ -30,4 +30,4 @@ export MPLBACKEND=Agg OMP_NUM_THREADS=1
 
 export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
 mpirun --oversubscribe --mca mpi_yield_when_idle 1 -n 2 \
-  "$prefix/bin/granumat" solve demos/scenes/annulus-coarse.toml --out results/annulus
+  "$prefix/bin/granumat" solve demos/scenes/annulus-coarse.toml --out results/annulus --overwrite

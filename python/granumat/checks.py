@@ -8,6 +8,10 @@ import numpy as np
 
 T = TypeVar("T")
 
+LARGEST_COUNT = 2**31 - 1
+COUNT = f"an integer from 1 to {LARGEST_COUNT}"
+SHORT = 80                          # characters of a value in a message
+
 
 def refuse(what: str, faults: Sequence[str]) -> None:
     """Raise a ValueError that names all faults; do nothing if there are none.
@@ -63,8 +67,40 @@ def is_finite_number(value: object) -> TypeGuard[float]:
 
 
 def is_positive_integer(value: object) -> TypeGuard[int]:
-    """Whether a value is an integer (not a bool) of at least 1."""
-    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and bool(value >= 1)
+    """Whether a value is COUNT, an integer (not a bool) from 1 to what 32 bits can count."""
+    return isinstance(value, (int, np.integer)) and not isinstance(value, bool) and bool(1 <= value <= LARGEST_COUNT)
+
+
+def real_array(name: str, value: object) -> np.ndarray:
+    """An array of real numbers, float and contiguous, of what was given for it, without a copy if it is one.
+
+    Raises
+    ------
+    TypeError
+        It holds something else, such as complex numbers, texts or None, or it is masked.
+    """
+    if isinstance(value, np.ma.MaskedArray):
+        raise TypeError(f"{name}: is a masked array, whose masked values would count: give an array without a mask")
+    try:
+        array = np.asarray(value)
+    except ValueError:                                           # rows of different lengths
+        array = np.empty(0, object)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"{name} = {short(value)}: must be an array of real numbers" + (
+            f", is one of dtype {array.dtype}" if array.dtype.kind in "cbV" else ""))
+    return np.ascontiguousarray(array, float).reshape(array.shape)
+
+
+def short(value: object) -> str:
+    """A value for a message, cut if it is long."""
+    words = " ".join(repr(value).split())
+    return words if len(words) <= SHORT else words[:SHORT] + " ..."
+
+
+def check_type(name: str, value: object, kind: type | tuple[type, ...], words: str) -> None:
+    """TypeError if a value is not of a type, `words` for which say what it must be."""
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} = {short(value)}: must be {words}")
 
 
 def repetitions(kind: str, names: Sequence[object]) -> list[str]:
@@ -93,6 +129,8 @@ def choose(kind: str, name: object, allowed: Sequence[str], faults: list[str]) -
     """
     if isinstance(name, str) and name in allowed:
         return allowed.index(name)
-    near = difflib.get_close_matches(str(name), allowed, 1)
-    faults.append(f"{kind} {name!r}: must be one of {', '.join(allowed)}" + (f" (did you mean {near[0]!r}?)" if near else ""))
+    by_lower = {entry.lower(): entry for entry in allowed}
+    near = difflib.get_close_matches(str(name).lower(), by_lower, 1)
+    faults.append(f"{kind} {name!r}: must be one of {', '.join(allowed)}" + (
+        f" (did you mean {by_lower[near[0]]!r}?)" if near else ""))
     return 0

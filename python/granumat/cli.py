@@ -16,13 +16,17 @@ from typing import Any, TextIO, TypeVar
 from . import __version__, driver, examples, installed, quantities, summaries
 from .checks import choose, refuse
 from .completion import SHELLS, completion_script
-from .errors import GranumatError
+from .errors import GranumatError, InterruptedRunError
+from .files import clear, locked, replacing
 from .paths import read_path_file
 from .studies.cases import CASES
 
 T = TypeVar("T")
 
 PATIENCE = 5.0                      # seconds that a rank with an error waits for the others to meet the same error
+EXPECTED = (ValueError, OSError, ImportError, MemoryError, GranumatError)     # errors with words for the user
+OVERWRITE = "remove what an earlier run has left in the directory"
+RANK_VARIABLES = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", "PMIX_RANK")       # in the environment of what mpirun or srun has started
 PRINTED = {                         # columns on screen, by the kind of test
     "shear": ("gamma", "phi", "p", "stress_ratio", "Z2", "A_xz"),
     "shear under a normal load": ("gamma", "phi", "p", "tau_over_sigma_n", "Z2", "A_xz"),
@@ -56,12 +60,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:                                      # what reads the output has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except (ValueError, OSError, ImportError, GranumatError) as error:
+    except EXPECTED as error:
         if not options.quiet:
             print(f"granumat: {error}", file=sys.stderr)
             if options.json:
                 print(summaries.to_json(summaries.of_error(error)))
         return 1 if isinstance(error, GranumatError) else 2
+    except KeyboardInterrupt:                                    # where there was nothing yet to keep
+        print("granumat: interrupted", file=sys.stderr)
+        return 1
     return 0
 
 
@@ -81,11 +88,14 @@ def _parser() -> argparse.ArgumentParser:
             added.add_argument("--json", action="store_true", help="print the result, or the error, as JSON instead of words")
         return added
 
-    command("point", run_point, "run a path file at one material point").add_argument(
-        "path", type=Path, help="the path, a TOML file")
+    point = command("point", run_point, "run a path file at one material point")
+    point.add_argument("path", type=Path, help="the path, a TOML file")
+    point.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     solve = command("solve", run_solve, "run a scene file: a boundary-value problem on a mesh; under mpirun on several ranks")
     solve.add_argument("scene", type=Path, help="the scene, a TOML file")
-    solve.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
+    way = solve.add_mutually_exclusive_group()
+    way.add_argument("--resume", action="store_true", help="go on from the checkpoint in the directory")
+    way.add_argument("--overwrite", action="store_true", help=OVERWRITE)
     ladder = command("ladder", run_ladder, "find the cheapest model that will do for a path or a scene, on all ranks of mpirun")
     ladder.add_argument("file", type=Path, help="the path or scene with its quantities of interest, a TOML file")
     ladder.add_argument("--tolerance", type=float, required=True,
@@ -131,15 +141,23 @@ def _say_written(filenames: Iterable[Path]) -> None:
 def run_point(options: argparse.Namespace) -> dict[str, Any]:
     """Run `granumat point`: history.csv, history.png, and the ends of the steps on screen."""
     from .plotting import history_figure, kind_of
+    if _is_idle_rank(options):
+        return {}
     path = read_path_file(options.path)
-    try:
-        history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, sys.stderr, path.acoustic,
-                             path.quantities)
-    except GranumatError:
-        print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
-              f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
-        raise
-    history_figure(history, options.path.stem).savefig(options.out / "history.png", dpi=130)
+    with locked(options.out):
+        clear(options.out, options.overwrite, "give --overwrite to replace it, or another directory")
+        try:
+            history = driver.run(path.material, path.state, path.steps, options.out, path.tolerance, sys.stderr, path.acoustic,
+                                 path.quantities)
+        except InterruptedRunError as error:
+            raise InterruptedRunError(f"{error}; what was computed is in {options.out / 'history.csv'}, "
+                                      "--overwrite runs the path from its start") from None
+        except GranumatError:
+            print(f"granumat: what was computed is in {options.out / 'history.csv'}, "
+                  f"the failing increment in {options.out / 'failing.toml'}", file=sys.stderr)
+            raise
+        with replacing(options.out / "history.png") as picture:
+            history_figure(history, options.path.stem).savefig(picture, dpi=130, format="png")
     printed = PRINTED[kind_of(history)]
     print(f"{'step':>5} " + " ".join(f"{name:>12}" for name in printed))
     for row in [0, *((history["step"][:-1] != history["step"][1:]).nonzero()[0][1:]), len(history) - 1]:
@@ -153,7 +171,8 @@ def run_point(options: argparse.Namespace) -> dict[str, Any]:
 def run_solve(options: argparse.Namespace) -> dict[str, Any]:
     """Run `granumat solve`; the first rank speaks for all."""
     from .fem import scene
-    problem, written = _on_all_ranks(options, lambda: scene.solve(options.scene, options.out, options.resume, progress=sys.stderr))
+    problem, written = _on_all_ranks(options, lambda: scene.solve(
+        options.scene, options.out, options.resume, options.overwrite, progress=sys.stderr))
     if options.quiet:
         return {}
     print(f"t = {problem.t:g} after {problem.increments} increments")
@@ -220,7 +239,9 @@ def run_completion(options: argparse.Namespace) -> None:
 
 
 def _is_idle_rank(options: argparse.Namespace) -> bool:
-    """Whether this is a rank to which a path, which has one point, gives nothing to do."""
+    """Whether this is a rank of mpirun to which a path, which has one point, gives nothing to do."""
+    if not any(name in os.environ for name in RANK_VARIABLES):
+        return False
     try:
         from mpi4py import MPI
     except ImportError:
@@ -238,8 +259,7 @@ def _on_all_ranks(options: argparse.Namespace, action: Callable[[], T]) -> T:
     try:
         return action()
     except BaseException as error:
-        expected = isinstance(error, (ValueError, OSError, ImportError, GranumatError))
-        if not (expected and _all_ranks_come(comm)):
+        if not (isinstance(error, EXPECTED) and _all_ranks_come(comm)):
             traceback.print_exc()
             MPI.COMM_WORLD.Abort(1)                              # or the other ranks would wait for ever
         raise

@@ -9,6 +9,7 @@ needs no other import. Axes are x (flow), y (vorticity), z (gradient). Histories
 positive, in k/d (k_Hz for Hertzian contacts).
 """
 
+import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -18,14 +19,15 @@ from typing import NamedTuple, TextIO
 import numpy as np
 
 from . import tensors
-from .checks import is_number
+from .checks import check_type, is_number, real_array
 from .core import STATE, status_message
-from .errors import ConstrainedDeformationWarning, PathError
+from .errors import ConstrainedDeformationWarning, InterruptedRunError, PathError, UnmetConditionWarning
 from .history import ACOUSTIC, COLUMNS, STATE_COLUMNS, History, Recorder, state_columns, stop_condition
 from .material import Material
 from .paths import write_path_file
 from .progress import Progress
 from .quantities import QUANTITIES_FILE, Quantity, write_history
+from .signals import noted_signals
 from .steps import (
     CONTROLS,
     SHEAR,
@@ -49,8 +51,11 @@ __all__ = ["ACOUSTIC", "COLUMNS", "CONTROLS", "SHEAR", "STATE_COLUMNS", "TOLERAN
            "controlled", "cycles", "cyclic_direct_shear", "cyclic_triaxial", "deform", "direct_shear", "isotropic_compression",
            "oedometer", "pause", "run", "shear", "state_columns", "triaxial"]
 
+KEEP_SECONDS = 30.0         # between two writes of what was computed so far,
+KEEP_FACTOR = 20.0          # or so many times as long as the last one took
 TRACE_LIMIT = 0.5           # abs(tr D^) above which a deformation counts as constrained; the paper asks for << 1
-CHUNK = 100                 # increments between two checks of the stop condition
+CHUNK = 100                 # increments between two checks of the stop condition, and two calls of progress,
+LONG_CHUNK = 1000           # or, where there is neither, between two looks for a signal
 
 
 def run(material: Material, state: np.record, steps: Sequence[Step], out: str | Path | None = None, tolerance: float = TOLERANCE,
@@ -65,8 +70,8 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
         Start of the path, such as material.steady(0.6).
     steps : list of Step
     out : path, optional
-        Directory that receives history.csv, also when a step fails; then it receives failing.toml too, a path file that repeats the
-        failing increment.
+        Directory that receives history.csv, now and then while a path takes long, and also when a step fails; then it receives
+        failing.toml too, a path file that repeats the failing increment. Files of an earlier path there are replaced.
     tolerance : float
         Largest error of what evolves (fabric/kappa, Z2 and phi; in the critical closure phi and, with e_r > 0, the stress over its
         largest component) in a substep where stresses are held, in (0, 1).
@@ -86,14 +91,28 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
     ------
     PathError
         If a prescribed stress cannot be reached or the material cannot follow; carries the history up to there.
+    InterruptedRunError
+        If Ctrl-C or SIGTERM came; what was computed is in `out`.
     ValueError
-        If the tolerance is not in (0, 1).
+        If the tolerance is not in (0, 1), or the state is none that a path of this material can start from
+        (Material.check_start).
+    TypeError
+        If an argument is of another type.
 
     Warns
     -----
     ConstrainedDeformationWarning
         If abs(tr D^) exceeds 0.5 in a step.
+    UnmetConditionWarning
+        If a step has come to its end, but its condition `until` is not met.
     """
+    check_type("material", material, Material, "a Material")
+    check_type("steps", steps, (list, tuple), "a list of steps")
+    for number, step in enumerate(steps, 1):
+        check_type(f"step {number}", step, Step, "a Step, such as driver.shear(1.0)")
+        if callable(step.gradient):
+            _gradients(number, step)                             # so that no later step ends what earlier ones have computed
+    material.check_start(state)
     if not is_number(tolerance) or not 0 < tolerance < 1:
         raise ValueError(f"tolerance = {tolerance!r}: must be a number in (0, 1)")
     recorder = Recorder(material, state, acoustic)
@@ -102,23 +121,48 @@ def run(material: Material, state: np.record, steps: Sequence[Step], out: str | 
     def show_progress(number: int, done: int) -> None:
         show(f"step {number} of {len(steps)}, increment {done} of {lengths[number - 1]}",
              (sum(lengths[:number - 1]) + done) / sum(lengths))
+    files = None if out is None else _Files(Path(out), recorder, quantities)
     failure = None
-    for number, step in enumerate(steps, 1):
-        failure = _run_step(recorder, number, step, tolerance, None if progress is None else show_progress)
-        if failure:
-            break
-    history = recorder.history()
-    if out is not None:
-        directory = Path(out)
-        directory.mkdir(parents=True, exist_ok=True)
-        history.write_csv(directory / "history.csv")
-        if quantities:
-            write_history(directory / QUANTITIES_FILE, quantities, history)
-        if failure:
-            write_path_file(directory / "failing.toml", material, recorder.state, failure.increment)
+    with noted_signals() as stop:
+        for number, step in enumerate(steps, 1):
+            failure = _run_step(recorder, number, step, tolerance, None if progress is None else show_progress, files, stop)
+            if failure or stop():
+                break
+        history = recorder.history() if files is None else files.write()
+        if files is not None and failure:
+            write_path_file(files.failing, material, recorder.state, failure.increment)
     if failure:
         raise PathError(failure.message, history)
+    if stop() and history.times[-1] < len(steps):
+        raise InterruptedRunError(f"{stop()} has ended the path in step {number} ({step.name}), after {len(history) - 1} "
+                                  "increments")
     return history
+
+
+class _Files:
+    """What a path writes into its directory: now and then while it is followed, so that little is lost with its process."""
+
+    def __init__(self, directory: Path, recorder: Recorder, quantities: Sequence[Quantity]) -> None:
+        self._directory, self._recorder, self._quantities = directory, recorder, quantities
+        self._due = time.monotonic() + KEEP_SECONDS
+        self.failing = directory / "failing.toml"
+        directory.mkdir(parents=True, exist_ok=True)
+        self.failing.unlink(missing_ok=True)                     # of an earlier path
+
+    def write(self) -> History:
+        """Write the history so far, which is returned, and the quantities."""
+        start = time.monotonic()
+        history = self._recorder.history()
+        history.write_csv(self._directory / "history.csv")
+        if self._quantities:
+            write_history(self._directory / QUANTITIES_FILE, self._quantities, history)
+        end = time.monotonic()
+        self._due = end + max(KEEP_SECONDS, KEEP_FACTOR * (end - start))
+        return history
+
+    def write_if_due(self) -> None:
+        if time.monotonic() > self._due:
+            self.write()
 
 
 class _Failure(NamedTuple):
@@ -129,20 +173,22 @@ class _Failure(NamedTuple):
 
 
 def _run_step(recorder: Recorder, number: int, step: Step, tolerance: float,
-              show_progress: Callable[[int, int], None] | None) -> _Failure | None:
-    """Append the states after the increments of a step, in chunks."""
-    gradients, modes, functionals = step.gradients(), step.modes, step.functionals
+              show_progress: Callable[[int, int], None] | None, files: _Files | None,
+              stop: Callable[[], str]) -> _Failure | None:
+    """Append the states after the increments of a step, in chunks, until there is a reason to stop."""
+    gradients, modes, functionals = _gradients(number, step), step.modes, step.functionals
     targets = step.targets(recorder.state["stress"])
     condition = stop_condition(step.until) if step.until else None
     n = len(gradients)
-    chunk = CHUNK if condition or show_progress else n
-    largest_trace = 0.0
+    largest_trace, stopped = 0.0, False
+    chunk = CHUNK if condition or show_progress else LONG_CHUNK
     for first in range(0, n, chunk):
+        if stop():
+            return None
         last = min(first + chunk, n)
         states, amplitudes, status = recorder.material.follow(
             recorder.state, gradients[first:last], modes, functionals, targets[first:last + 1], tolerance)
         done = first + len(states)
-        stopped = False
         if len(states):
             total = gradients[first:done] + np.tensordot(amplitudes, modes, 1)
             gamma = total[:, 0, 2] if step.shear else 2 * tensors.magnitude(tensors.symmetric(total))
@@ -160,11 +206,27 @@ def _run_step(recorder: Recorder, number: int, step: Step, tolerance: float,
                                     shear=False))
         if show_progress:
             show_progress(number, last)
+        if files is not None:
+            files.write_if_due()
+    if condition is not None and not stopped:
+        warnings.warn(f"step {number} ({step.name}): its condition until = {step.until!r} was not met, so it ended with its last "
+                      "increment", UnmetConditionWarning, stacklevel=3)
     if largest_trace > TRACE_LIMIT:
         warnings.warn(f"step {number} ({step.name}): abs(tr D^) reaches {largest_trace:.2f}; the paper's law is meant for "
                       "abs(tr D^) << 1, constrained deformations are outside what it was fitted to",
                       ConstrainedDeformationWarning, stacklevel=3)
     return None
+
+
+def _gradients(number: int, step: Step) -> np.ndarray:
+    """The displacement gradients (n, 3, 3) of a step; ValueError where a function gives none."""
+    try:
+        gradients = real_array("velocity_gradient", step.gradients())
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"step {number} ({step.name}): velocity_gradient: {error}") from None
+    if gradients.shape[1:] != (3, 3) or not np.isfinite(gradients).all():
+        raise ValueError(f"step {number} ({step.name}): velocity_gradient: must be 3 x 3 finite numbers for every strain")
+    return gradients
 
 
 def _largest_trace(states: np.ndarray, gamma: np.ndarray) -> float:

@@ -40,5 +40,13 @@ class PathError(GranumatError):
         self.history = history
 
 
+class InterruptedRunError(GranumatError):
+    """SIGINT (Ctrl-C) or SIGTERM has ended a run; what was computed until then is kept."""
+
+
+class UnmetConditionWarning(UserWarning):
+    """The condition that was to end a step early was not met."""
+
+
 class ConstrainedDeformationWarning(UserWarning):
     """The volume changes about as fast as the shape, but the paper's law is meant for abs(tr D^) << 1."""

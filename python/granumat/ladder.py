@@ -19,6 +19,7 @@ from .checks import is_finite_number, is_positive_integer, refuse
 from .choice import LEAST_SAVING, Choice, Finding, Report, Study, choose, predicted
 from .coarsen import CONSTANT, DIMENSION, MODEL, NUMERICS, Axis, Content, Rung
 from .estimate import TINY
+from .files import locked_by_one
 from .ladder_report import write_report
 from .quantities import Quantity
 from .runs import BudgetSpent, PointRunner, Result, Runner, Runs
@@ -437,9 +438,10 @@ def climb(file: str | Path, tolerance: float, out: str | Path, budget: int | Non
     if not runner.quantities:
         raise ValueError(f"{file} has no [[quantity]]: there is nothing to compare models by")
     axes = (coarsen.scene_axes(content) if is_scene(file) else coarsen.path_axes(content)) + coarsen.constants(content)
-    ladder = Ladder(content, axes, runner.quantities, tolerance, Runs(runner, out, file.parent, budget, progress))
-    report = ladder.climb()
-    runner.on_one(lambda: write_report(report, file, out))
+    with locked_by_one(runner.on_one, out):
+        ladder = Ladder(content, axes, runner.quantities, tolerance, Runs(runner, out, file.parent, budget, progress))
+        report = ladder.climb()
+        runner.on_one(lambda: write_report(report, file, out))
     return report
 
 

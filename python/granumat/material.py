@@ -1,12 +1,14 @@
 """The material: its constants, the states of its points, and what the law gives for them."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import core, tensors
-from .checks import choose, is_finite_number, is_number, is_positive_integer, refuse
+from .checks import check_type, choose, is_finite_number, is_number, is_positive_integer, real_array, refuse, short
 from .core import STATE, status_message
 from .errors import MaterialError
 
@@ -34,6 +36,8 @@ SLOWEST_DECAY = 1.0     # smallest d2 for which the strain that leads to a stead
 
 TRACE_TOLERANCE = 1e-12         # of a fabric that counts as traceless
 DIRECTION_TOLERANCE = 1e-9      # of a direction's magnitude 1
+PRESSURE_TOLERANCE = 1e-6       # of a state's pressure against the law's for its microstructure, relative
+MOST_THREADS = 1024             # more than a node has processors; tens of thousands exhaust the memory of stacks
 
 
 def describe_range(name: str) -> str:
@@ -106,16 +110,27 @@ class Material:
     ----------
     closure, contact, friction, calibration, method, spin : str
         As given.
-    constants : dict of str to float
+    constants : mapping of str to float
         All constants by their symbols, given or not, and those that follow from them: chi, kappa, lambda (A 7)-(A 9) and
         fabric_limit, the abs(A) from where (4.7) can grow without bound. `material["Zc"]` is short for
-        `material.constants["Zc"]`.
+        `material.constants["Zc"]`. A material does not change: another one is `Material(**(material.definition | changes))`.
 
     Raises
     ------
     ValueError
         Names every mistake at once.
     """
+
+    closure: str
+    contact: str
+    friction: str
+    calibration: str
+    method: str
+    spin: str
+    constants: Mapping[str, float]
+    _par: np.ndarray
+    _scheme: core.Scheme
+    _given: dict[str, Any]
 
     def __init__(self, mu: float = 0.5, closure: str = "full", contact: str = "hookean", friction: str = "linear",
                  calibration: str = "table-1", elastic_strain: float = 0.0, method: str = "exact", spin: str = "inside",
@@ -158,15 +173,18 @@ class Material:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
-        self._scheme = method_number, spin_number, method_tolerance
-        self._par = par
-        self._par.flags.writeable = False
-        self.closure, self.contact, self.friction, self.calibration = closure, contact, friction, calibration
-        self.method, self.spin = method, spin
-        self.constants = dict(zip(names + list(DERIVED), par.tolist()))
-        self._given: dict[str, Any] = {
-            "mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
-            "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance, **constants}
+        par.flags.writeable = False
+        vars(self).update(                                       # past __setattr__
+            closure=closure, contact=contact, friction=friction, calibration=calibration, method=method, spin=spin,
+            constants=MappingProxyType(dict(zip(names + list(DERIVED), par.tolist()))), _par=par,
+            _scheme=(method_number, spin_number, method_tolerance),
+            _given={"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
+                    "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance,
+                    **constants})
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise TypeError(f"{name} cannot be set: a material does not change; make another one, "
+                        f"Material(**(material.definition | {{{name!r}: {value!r}}}))")
 
     def __repr__(self) -> str:
         return "Material(" + ", ".join(f"{name}={value!r}" for name, value in self._given.items()) + ")"
@@ -176,6 +194,8 @@ class Material:
 
     def __getitem__(self, name: str) -> float:
         """A constant by its symbol, such as material["Zc"]."""
+        if name not in self.constants:
+            raise KeyError(f"{name!r}: must be one of {', '.join(self.constants)}")
         return self.constants[name]
 
     @property
@@ -256,6 +276,41 @@ class Material:
             faults.append(f"fabric: abs(A) = {size:.6g}, must be below {limit:.6g}, from where (4.7) can blow up")
         return faults
 
+    def check_start(self, states: np.ndarray | np.record | np.void) -> None:
+        """Check that states can be where a path or a body of this material starts; increments do not ask.
+
+        Parameters
+        ----------
+        states : record array (...) of dtype STATE
+
+        Raises
+        ------
+        TypeError
+            They are no states.
+        ValueError
+            A state is not finite, its fabric or phi is out of range, or its pressure is not what this material's law gives for its
+            microstructure: it belongs to another material.
+        """
+        records = _records(states).reshape(-1)
+        fabric, phi = records["fabric"], records["volume_fraction"]
+        usable = np.isfinite(core.numbers(records)).all(axis=1)
+        faults = [(~usable, "holds numbers that are not finite"),
+                  (usable & ~((phi > 0) & (phi < 1)), "has a volume fraction outside (0, 1)"),
+                  (usable & (tensors.magnitude(fabric) >= self["fabric_limit"]),
+                   f"has a fabric of abs(A) not below this material's fabric_limit, {self['fabric_limit']:.6g}")]
+        usable &= ~np.any([found for found, _ in faults], axis=0)
+        p = -tensors.trace(records["stress"]) / 3
+        law = p.copy()
+        law[usable] = -tensors.trace(self.evaluate(records[usable])[0]) / 3
+        differs = usable & ~(abs(p - law) <= PRESSURE_TOLERANCE * np.maximum(abs(p), abs(law)))
+        if differs.any():
+            first = int(np.flatnonzero(differs)[0])
+            faults.append((differs, f"has the pressure {p[first]:.6g}, but this material's law gives {law[first]:.6g} for its "
+                                    "microstructure: it is of another material, or its stress was set by hand"))
+        refuse("the states cannot be started from", [
+            f"point {int(np.flatnonzero(found)[0])} " + (f"(and {found.sum() - 1} more) " if found.sum() > 1 else "") + words
+            for found, words in faults if found.any()])
+
     def isotropic(self, volume_fraction: float, pressure: float | None = None,
                   coordination_number: float | None = None) -> np.record:
         """Make the state of an isotropic packing, A = 0.
@@ -304,7 +359,9 @@ class Material:
 
         In the critical closure (A 11) has kappa in place of abs(A).
         """
-        pressure = np.asarray(pressure)
+        pressure = real_array("pressure", pressure)
+        if not ((pressure >= 0) & (pressure < np.inf)).all():
+            raise ValueError(f"pressure = {short(pressure)}: must be finite and at least 0")
         hookean = pressure ** (2 / 3) if self.contact == "hertzian" else pressure
         factor = self["a1"] + (self["a2"] * self["kappa"] if self.closure == "critical" else 0)
         return self["Zc"] + np.sqrt(hookean / factor)
@@ -315,7 +372,9 @@ class Material:
         They are as given, but in the critical closure, where Z2 = f(phi), they follow from Z2: the inverse of (4.9). Up to Zc they
         are as given there too, but at most phic.
         """
-        excess = np.asarray(coordination_number) - self["Zc"]
+        if not is_finite_number(given) or not 0 < given < 1:
+            raise ValueError(f"volume fraction = {given!r}: must be a number in (0, 1)")
+        excess = real_array("coordination_number", coordination_number) - self["Zc"]
         if self.closure != "critical":
             return np.full(excess.shape, given)
         with np.errstate(divide="ignore", over="ignore"):
@@ -413,19 +472,21 @@ class Material:
 
     def _update(self, states: np.ndarray | np.record, gradient: ArrayLike, out: np.ndarray | None, threads: int,
                 tangent: np.ndarray | None) -> Any:
-        old = np.ascontiguousarray(states, STATE).reshape(-1)
-        gradient = np.ascontiguousarray(gradient, float)
+        old = _records(states).reshape(-1)
+        gradient = real_array("gradient", gradient)
         shape = np.shape(states)
         if gradient.shape != (*shape, 3, 3):
             raise ValueError(f"gradient has shape {gradient.shape}: must be {(*shape, 3, 3)} for states of shape {shape}")
         new = np.empty(shape, STATE) if out is None else out
-        _check_threads(threads)
-        if new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
+        threads = _usable_threads(threads, old.size)
+        if not isinstance(new, np.ndarray) or new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
             raise ValueError(f"out must be a contiguous array of shape {shape} and dtype STATE")
         if np.may_share_memory(old, new):
             old = old.copy()                                     # the core must not write where it still reads
         status = np.zeros(old.size, np.int32)
         arguments = self._par, old, gradient.reshape(-1, 3, 3), new.reshape(-1), status
+        if old.size == 0:                                        # the core takes no empty arrays
+            return new.view(np.recarray)
         if tangent is not None:
             core.update_with_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]), threads)
         elif self.is_exact:
@@ -456,7 +517,7 @@ class Material:
         eta : array (...)
             Friction coefficient (4.5), (4.6).
         """
-        states = np.array(states, STATE)
+        states = np.array(_records(states))
         eta = core.evaluate(self._par, states.reshape(-1))
         return states["stress"], eta.reshape(states.shape)
 
@@ -481,7 +542,7 @@ class Material:
         -------
         array (...)
         """
-        states = np.ascontiguousarray(states, STATE)
+        states = _records(states)
         return core.transverse_modulus(self._par, states.reshape(-1)).reshape(states.shape)
 
     def response(self, states: np.ndarray) -> np.ndarray:
@@ -504,7 +565,7 @@ class Material:
             In units of p, tension positive, by engineering shear strains; NaN where there is none: before any strain, and for
             e_r > 0 where p = 0.
         """
-        states = np.ascontiguousarray(states, STATE)
+        states = _records(states)
         return core.response(self._par, states.reshape(-1)).reshape(states.shape + (6, 6))
 
     def ellipticity(self, states: np.ndarray, threads: int = 1) -> Ellipticity:
@@ -534,8 +595,8 @@ class Material:
         -------
         Ellipticity
         """
-        _check_threads(threads)
-        states = np.ascontiguousarray(states, STATE)
+        states = _records(states)
+        threads = _usable_threads(threads, states.size)
         least, normal = core.ellipticity(self._par, states.reshape(-1), threads)
         least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
         return Ellipticity(self.transverse_modulus(states), least[..., 0], normal[..., 0, :], least[..., 1], normal[..., 1, :])
@@ -570,9 +631,22 @@ class Material:
         return core.follow_path(self._par, self._scheme, start, gradients, modes, functionals, targets, tolerance)
 
 
-def _check_threads(threads: int) -> None:
-    if not is_positive_integer(threads):
-        raise ValueError(f"threads = {threads!r}: must be an integer, at least 1")
+def _usable_threads(threads: int, points: int) -> int:
+    """At most as many threads as there are points; ValueError if they are no such number."""
+    if not is_positive_integer(threads) or threads > MOST_THREADS:
+        raise ValueError(f"threads = {threads!r}: must be an integer from 1 to {MOST_THREADS}")
+    return max(1, min(threads, points))
+
+
+def _records(states: object) -> np.ndarray:
+    """States (...) as the core takes them, contiguous, without a copy if they are; TypeError if they are none."""
+    check_type("states", states, (np.ndarray, np.void), "an array of dtype STATE, or one of its records")
+    assert isinstance(states, (np.ndarray, np.void))
+    if isinstance(states, np.ma.MaskedArray):
+        raise TypeError("states: are a masked array, whose masked states would count: give an array without a mask")
+    if states.dtype != STATE:
+        raise TypeError(f"states: are of dtype {states.dtype}: must be of granumat.STATE, {STATE}")
+    return np.ascontiguousarray(states).reshape(states.shape)
 
 
 def _remake(given: dict[str, Any]) -> Material:
@@ -582,8 +656,8 @@ def _remake(given: dict[str, Any]) -> Material:
 def _components(name: str, value: ArrayLike, faults: list[str]) -> np.ndarray:
     """Six components from what was given for a tensor; 0 and a fault if it is no symmetric tensor of finite numbers."""
     try:
-        value = np.asarray(value, float)
-    except (TypeError, ValueError):
+        value = real_array(name, value)
+    except TypeError:
         value = np.full(0, np.nan)
     if value.shape == (3, 3) and np.allclose(value, value.T, rtol=0, atol=1e-14):
         value = tensors.to_voigt(value)

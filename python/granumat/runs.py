@@ -14,7 +14,7 @@ import numpy as np
 
 from . import __version__, driver, tensors
 from .coarsen import Content, bare, referred_files, relocated
-from .errors import GranumatError, PathError
+from .errors import GranumatError, InterruptedRunError, PathError
 from .files import replacing
 from .paths import read_path_file
 from .quantities import Quantity
@@ -168,7 +168,10 @@ class Runs:
                 directory.mkdir(parents=True)
                 mark.write_text(key)
         self.runner.on_one(prepare)
-        result = self.runner.run(relocated(content, lambda file: (self.source / file).resolve()), directory)
+        try:
+            result = self.runner.run(relocated(content, lambda file: (self.source / file).resolve()), directory)
+        except InterruptedRunError as error:
+            raise InterruptedRunError(f"{error}; the ladder goes on from there when it is called again") from None
 
         def keep() -> None:
             with replacing(directory / RESULT) as partial:
@@ -216,6 +219,8 @@ class PointRunner:
                 history = driver.run(path.material, path.state, path.steps, tolerance=path.tolerance, acoustic=path.acoustic)
             except PathError as error:
                 history, failure = error.history, str(error)
+            except InterruptedRunError:
+                raise
             except GranumatError as error:
                 return Result({}, 0.0, {}, failure=str(error))
             seconds.append(time.process_time() - start)

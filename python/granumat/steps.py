@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import tensors
-from .checks import attempt, is_finite_number, is_positive_integer, refuse
+from .checks import COUNT, attempt, is_finite_number, is_positive_integer, real_array, refuse
 from .history import stop_condition
 
 TOLERANCE = 1e-6            # default error of what evolves in a substep where stresses are held
@@ -119,7 +119,7 @@ class Step:
     def __post_init__(self) -> None:
         faults: list[str] = []
         if not is_positive_integer(self.increments):
-            faults.append(f"increments = {self.increments!r}: must be an integer, at least 1")
+            faults.append(f"increments = {self.increments!r}: must be {COUNT}")
         if not is_finite_number(self.strain):
             faults.append(f"strain = {self.strain!r}: must be a finite number")
         if not callable(self.gradient) and not _is_gradient(self.gradient):
@@ -168,7 +168,7 @@ class Step:
         if not callable(self.gradient):
             return np.tile(size * np.asarray(self.gradient, float), (self.increments, 1, 1))
         middles = (np.arange(self.increments) + 0.5) * size
-        return size * np.array([np.asarray(self.gradient(s), float) for s in middles])
+        return size * np.array([real_array("gradient", self.gradient(s)) for s in middles])
 
     def targets(self, stress: np.ndarray) -> np.ndarray:
         """Values of the stress conditions at the start and after each increment.
@@ -191,8 +191,8 @@ class Step:
 
 def _is_gradient(value: ArrayLike) -> bool:
     try:
-        gradient = np.asarray(value, float)
-    except (TypeError, ValueError):
+        gradient = real_array("gradient", value)
+    except TypeError:
         return False
     return gradient.shape == (3, 3) and bool(np.isfinite(gradient).all())
 
@@ -229,7 +229,8 @@ def shear(strain: float, control: str = "volume", increments: int = 200, until: 
     -------
     Step
     """
-    return Step(f"shear {strain:g}", SHEAR, strain, increments, until=until, shear=True, **controlled(control))
+    name = f"shear {strain:g}" if is_finite_number(strain) else "shear"
+    return Step(name, SHEAR, strain, increments, until=until, shear=True, **controlled(control))
 
 
 def cycles(amplitude: float, number: int, control: str = "volume", increments: int = 100) -> list[Step]:
@@ -255,7 +256,7 @@ def cycles(amplitude: float, number: int, control: str = "volume", increments: i
 
 
 def _faults_of_cycles(number: object, **amplitudes: object) -> list[str]:
-    faults = [] if is_positive_integer(number) else [f"number of cycles = {number!r}: must be an integer, at least 1"]
+    faults = [] if is_positive_integer(number) else [f"number of cycles = {number!r}: must be {COUNT}"]
     return faults + [f"{name} = {value!r}: must be a finite number other than 0" for name, value in amplitudes.items()
                      if not is_finite_number(value) or value == 0]
 

@@ -14,7 +14,7 @@ def read_toml(filename: str | Path) -> dict[str, Any]:
     """What a TOML file says; ValueError if it is not one."""
     with open(filename, "rb") as file:
         try:
-            return tomllib.load(file)
+            return tomllib.loads(file.read().decode("utf-8-sig"))        # editors may begin UTF-8 with a mark of it
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(f"{filename}: not a TOML file: {error}") from None
 

@@ -120,8 +120,8 @@ def test_a_checkpoint_of_another_problem_is_refused_with_every_difference(checkp
         fem.resume(checkpoint, other)
     for words in ("belongs to another problem", "degree: 1 in the checkpoint, 2 here",
                   "material's mu: 0.5 in the checkpoint, 0.4 here", "material's closure: 'full' in the checkpoint, 'basic' here",
-                  "condition 0: {'kind': 'Displacement', 'where': 'a function', 'value': 0, ", "'value': [0.01, 0.0], ",
-                  "condition 2: None in the checkpoint, {'kind': 'Pressure', 'where': 'a function', 'value': 0.01} here",
+                  "condition 0 (Displacement), value: 0 in the checkpoint, [0.01, 0.0] here",
+                  "condition 2 (Pressure), value: None in the checkpoint, 0.01 here",
                   "gravity: None in the checkpoint, [0.0, -0.001] here", "'volume_fraction': 0.61", "rate_term: 0.0 in"):
         assert words in str(caught.value), words
     assert "condition 1" not in str(caught.value)                                  # functions cannot be compared

@@ -110,10 +110,12 @@ def test_options_reach_the_solver_and_its_parts():
 
 
 def test_a_wrong_value_is_an_error_and_a_wrong_name_a_warning():
-    with pytest.raises(PETSc.Error):
+    with pytest.raises(ValueError, match=r"PETSc refuses the options .*Unable to find requested KSP type no-such-solver"):
         block((2, 2), {"ksp_type": "no-such-solver"})
-    with pytest.raises(PETSc.Error):
+    with pytest.raises(ValueError, match="mat_type = 'no-such-matrix': must be one of aij, baij"):
         block((2, 2), {"mat_type": "no-such-matrix"})
+    with pytest.raises(ValueError, match=r"PETSc cannot solve with the options that were given: .*no-such-package"):
+        solved(block((2, 2), {"pc_factor_mat_solver_type": "no-such-package"}))
     with pytest.warns(UserWarning, match="'ksp_rtoll'"):
         solved(block((2, 2), {"ksp_rtoll": 1e-9}))
 

@@ -1,6 +1,7 @@
 """A body on a mesh: elements, parts of the boundary, kinematics, internal forces and stiffness."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
@@ -11,6 +12,7 @@ from .. import core
 from ._compat import FacetTable, FacetTags, ReferenceCell, cell_nodes, vector_space
 from .conditions import Where
 
+WHERE_WORDS = "it must be a function of positions x (3, n), x[0] all x coordinates, that returns n truth values, or facet tags"
 ELEMENT_FAILURES = ("", "the mesh is inverted", "the increment rotates or strains a cell too much")     # by the core's status
 
 
@@ -95,7 +97,7 @@ class Body:
         """Mesh facets on a part of the boundary."""
         self.mesh.topology.create_connectivity(self.d - 1, self.d)
         if callable(where):
-            return dolfinx.mesh.locate_entities_boundary(self.mesh, self.d - 1, where)
+            return dolfinx.mesh.locate_entities_boundary(self.mesh, self.d - 1, lambda x: _truth_values(where, x))
         if self._facet_tags is None:
             raise ValueError(f"a condition's where is {where!r}, but the problem was given no facet_tags")
         return np.unique(self._facet_tags.indices[np.isin(self._facet_tags.values, where)])
@@ -150,3 +152,14 @@ class Body:
             n = nodes per cell times d.
         """
         core.element_stiffness(self._mean_dilatation, self.element.gradients, x, volumes, gradients, stress, tangent, stiffness)
+
+
+def _truth_values(where: Callable[[np.ndarray], Any], x: np.ndarray) -> np.ndarray:
+    """What a `where` says of positions x (3, n); ValueError if it is no truth value for each."""
+    try:
+        found = np.asarray(where(x))
+    except IndexError as error:
+        raise ValueError(f"where cannot be evaluated, {error}: {WHERE_WORDS}") from None
+    if found.dtype != bool or found.shape != x.shape[1:]:
+        raise ValueError(f"where returns shape {found.shape} of dtype {found.dtype} for x of shape {x.shape}: {WHERE_WORDS}")
+    return found

@@ -87,6 +87,20 @@ def on_rank_0(comm: MPI.Comm, action: Callable[[], T]) -> T:
     return result
 
 
+def together(comm: MPI.Comm, action: Callable[[], T]) -> T:
+    """What `action()` returns on each rank; a ValueError or TypeError on one of them is raised on all."""
+    result: Any = None
+    error = None
+    try:
+        result = action()
+    except (ValueError, TypeError) as raised:
+        error = raised
+    errors = [of_rank for of_rank in comm.allgather(error) if of_rank is not None]
+    if errors:
+        raise errors[0]
+    return result
+
+
 class Shape(NamedTuple):
     """`around`: a cell's vertices in VTK's order; `facets`: the vertices of its facets, each in order around, in space only."""
 

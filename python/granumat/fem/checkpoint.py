@@ -4,20 +4,29 @@ import json
 import os
 import time
 import zipfile
+import zlib
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..checks import refuse
-from ..files import replacing
+from ..core import STATE
+from ..files import naming, replacing
 from .cellwise import CellOrder, on_rank_0
+from .conditions import Pressure, Traction
+from .errors import format_position
 from .output import Output
 from .problem import Problem
+from .scene_data import Function
 from .trial import Snapshot, Trial
 
 POSITION_TOLERANCE = 1e-12          # over the body's size: nodes within this are where they were
+DISPLACEMENT_TOLERANCE = 1e-10      # over the body's size: prescribed displacements within this are as they were
+DESCRIPTION = ("fingerprint", "numbers", "residual", "residuals", "outputs")
+COMPARED_DIGITS = 12                # of the values of functions, which round-off may change
 
 
 class Checkpoint:
@@ -36,12 +45,17 @@ class Checkpoint:
         Increments from one checkpoint to the next.
     seconds : float, optional
         Or when so much time has passed.
+
+    Attributes
+    ----------
+    written : float or None
+        Pseudo-time of the latest checkpoint.
     """
 
     def __init__(self, path: str | Path, outputs: Sequence[Output] = (), every: int | None = None,
                  seconds: float | None = None) -> None:
         self.path, self.outputs, self.every, self.seconds = Path(path), tuple(outputs), every, seconds
-        self._written: float | None = None                       # pseudo-time of the last checkpoint
+        self.written: float | None = None
         self._last_clock = time.monotonic()
         self._order: CellOrder | None = None
 
@@ -52,25 +66,34 @@ class Checkpoint:
 
     def write(self, problem: Problem) -> None:
         """Writes the problem as it is, if an increment was accepted and it has not been written already; collective."""
-        if problem.last is None or problem.t == self._written:
+        if problem.last is None or problem.t == self.written:
             return
         if self._order is None:
             self._order = CellOrder(problem.mesh)
         arrays = {name: self._order.gather(values) for name, values in _cell_arrays(problem, problem.last).items()}
-        description = {"fingerprint": _fingerprint(problem), "numbers": _numbers(problem, problem.last),
+        description = {"fingerprint": _fingerprint(problem, problem.t), "numbers": _numbers(problem, problem.last),
                        "residual": problem.last.residual, "residuals": problem.last.residuals}
 
         def replace_file() -> None:
             description["outputs"] = {output.path.name: output.bookmark() for output in self.outputs}
             with replacing(self.path) as partial, open(partial, "wb") as stream:
-                np.savez(stream, description=json.dumps(description, default=float), **arrays)
+                _save(stream, arrays | {"description": np.array(json.dumps(description, default=float))})
                 stream.flush()
                 os.fsync(stream.fileno())
             directory = os.open(self.path.parent, os.O_RDONLY)
-            os.fsync(directory)                                  # so that the new name is on disk as well
+            with naming(self.path):
+                os.fsync(directory)                              # so that the new name is on disk as well
             os.close(directory)
         on_rank_0(problem.comm, replace_file)
-        self._written, self._last_clock = problem.t, time.monotonic()
+        self.written, self._last_clock = problem.t, time.monotonic()
+
+
+def _save(stream: BinaryIO, arrays: dict[str, np.ndarray]) -> None:
+    """Writes arrays as numpy.savez does, which leaves its archive open where a write fails."""
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asarray(values), allow_pickle=False)
 
 
 def _numbers(problem: Problem, last: Trial) -> dict[str, float | None]:
@@ -87,19 +110,32 @@ def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
             "volumes": last.volumes, "stress": last.stress, "forces": last.forces}
 
 
-def _fingerprint(problem: Problem) -> dict[str, Any]:
-    """What must be the same in the problem that is resumed; the same on all ranks."""
+def _fingerprint(problem: Problem, t: float) -> dict[str, Any]:
+    """What must be the same in the problem that is resumed at pseudo-time t; the same on all ranks."""
     material = {f"material's {name}": value for name, value in problem.material.definition.items()}
     return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "dimension": problem.d,
             "shape of the cells": problem.mesh.topology.cell_type.name, "number of cells": problem.comm.allreduce(problem.cells),
-            "gravity": _comparable(problem.gravity), "initial state": _comparable(problem.initial),
-            **{f"condition {number}": {"kind": type(condition).__name__} | {
-                name: _comparable(value) for name, value in vars(condition).items()}
-               for number, condition in enumerate(problem.conditions)}}
+            "gravity": _comparable(problem.gravity, t), "initial state": _comparable(problem.initial, t),
+            **{f"condition {number} ({type(condition).__name__}), {name}": _comparable(_load(condition, value, t), t)
+               for number, condition in enumerate(problem.conditions) for name, value in vars(condition).items()}}
 
 
-def _comparable(value: Any) -> Any:
-    """A number, sequence or state as JSON has it; functions cannot be compared."""
+def _load(condition: object, value: Any, t: float) -> Any:
+    """An attribute of a condition; of a load that is a function of Python its value at a time."""
+    is_load = isinstance(condition, (Pressure, Traction)) and value is condition.value
+    return value(t) if is_load and callable(value) and not is_dataclass(value) else value
+
+
+def _comparable(value: Any, t: float) -> Any:
+    """A number, sequence, state or function of a scene file as JSON has it, up to a time; other functions cannot be compared."""
+    if isinstance(value, Function):
+        return [[float(f"{number:.{COMPARED_DIGITS}g}") for number in row] for row in value.up_to(t)]
+    if is_dataclass(value):
+        return {name: _comparable(item, t) for name, item in vars(value).items()}
+    if isinstance(value, dict):
+        return {str(name): _comparable(item, t) for name, item in value.items()}
+    if isinstance(value, tuple) and any(map(is_dataclass, value)):
+        return [_comparable(item, t) for item in value]
     if callable(value):
         return "a function"
     value = np.asarray(value)
@@ -109,7 +145,9 @@ def _comparable(value: Any) -> Any:
 def resume(path: str | Path, problem: Problem, outputs: Sequence[Output] = ()) -> None:
     """Brings a problem, set up as at the start of a run, to where the run's checkpoint was, and its outputs too.
 
-    Outputs go on in their files, of which what was written after the checkpoint is cut off.
+    What has loaded the body until then must be the same, what loads it later need not. Of functions given in Python
+    only the values at the checkpoint are compared. Outputs go on in their files, of which what was written after
+    the checkpoint is cut off.
 
     Parameters
     ----------
@@ -125,26 +163,23 @@ def resume(path: str | Path, problem: Problem, outputs: Sequence[Output] = ()) -
         Where there is no checkpoint.
     """
     order, comm = CellOrder(problem.mesh), problem.comm
-    fingerprint = _fingerprint(problem)
     positions = order.gather(problem.body.at_cells(problem.positions))
     arrays: dict[str, np.ndarray] = {}                           # of all cells, on rank 0
 
-    def read() -> tuple[dict[str, Any], list[str]]:
+    def read() -> dict[str, Any]:
         description, content = _read(path)
-        saved_positions = content.pop("places")
-        saved = description["fingerprint"]
-        faults = [f"{name}: {saved.get(name)!r} in the checkpoint, {fingerprint.get(name)!r} here"
-                  for name in sorted(saved | fingerprint) if saved.get(name) != fingerprint.get(name)]
-        if saved_positions.shape == positions.shape:
-            distance = abs(saved_positions - positions).max()
-            if distance > POSITION_TOLERANCE * problem.body.size:
-                faults.append(f"positions of the nodes: up to {distance:.3g} apart")
-        refuse(f"{path} belongs to another problem", faults)
         arrays.update(content)
-        return description, list(content)
+        return description
 
-    description, names = on_rank_0(comm, read)
-    problem.restore(_snapshot(problem, description, {name: order.scatter(arrays.get(name)) for name in names}))
+    description = on_rank_0(comm, read)
+    fingerprint = _fingerprint(problem, description["numbers"]["t"])
+    shapes = _shapes(problem)
+    on_rank_0(comm, lambda: _compare(path, description["fingerprint"], fingerprint, arrays, shapes, positions, problem.body.size))
+    problem.restore(_snapshot(problem, description, {name: order.scatter(arrays.get(name)) for name in shapes}))
+    difference, place = problem.lag_of_prescribed()
+    if difference > DISPLACEMENT_TOLERANCE * problem.body.size:
+        raise ValueError(f"{path} belongs to another problem:\n  displacements that conditions prescribe at t = {problem.t:g} are "
+                         f"up to {difference:.3g} away from those in the checkpoint, at {format_position(place)}")
     for output in outputs:
         bookmark = description["outputs"].get(output.path.name)
         if bookmark is not None:
@@ -153,15 +188,42 @@ def resume(path: str | Path, problem: Problem, outputs: Sequence[Output] = ()) -
 
 def _read(path: str | Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Description and arrays of a checkpoint file; ValueError where it is none."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = dict(file)
-        description = json.loads(str(arrays.pop("description")))
-    except (zipfile.BadZipFile, KeyError, ValueError, EOFError) as error:
-        raise ValueError(f"{path} is not a checkpoint: {error}") from None
-    if "places" not in arrays:
-        raise ValueError(f"{path} is not a checkpoint: it has no places of the nodes")
+    with open(path, "rb") as stream:
+        try:
+            with np.load(stream, allow_pickle=False) as file:
+                arrays = dict(file)
+            description = json.loads(str(arrays.pop("description")))
+            lacking = [key for key in DESCRIPTION if key not in description]
+        except (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, TypeError, AttributeError) as error:
+            raise ValueError(f"{path} is not a checkpoint: {error}") from None
+    if lacking:
+        raise ValueError(f"{path} is not a checkpoint: its description lacks {', '.join(lacking)}")
     return description, arrays
+
+
+def _shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
+    """The shapes of what a checkpoint keeps of a cell, as _cell_arrays."""
+    nodes, points = (problem.body.cell_nodes.shape[1], problem.d), (len(problem.body.element.weights),)
+    return {"places": nodes, "displacement": nodes, "u": nodes, "states": points, "shear_strain": points, "volume_strain": points,
+            "gradients": (*points, 3, 3), "volumes": points, "stress": (*points, 6), "forces": nodes}
+
+
+def _compare(path: str | Path, saved: dict[str, Any], fingerprint: dict[str, Any], arrays: dict[str, np.ndarray],
+             shapes: dict[str, tuple[int, ...]], positions: np.ndarray, size: float) -> None:
+    """ValueError that names every difference between a checkpoint and a problem; on rank 0."""
+    faults = [f"{name}: {saved.get(name)!r} in the checkpoint, {fingerprint.get(name)!r} here"
+              for name in sorted(saved | fingerprint) if saved.get(name) != fingerprint.get(name)]
+    if not faults:
+        faults += [f"it lacks the array {name!r}" for name in shapes if name not in arrays]
+        for name, shape in shapes.items():
+            expected = (len(positions), *shape), STATE if name == "states" else np.dtype(float)
+            if name in arrays and (arrays[name].shape, arrays[name].dtype) != expected:
+                faults.append(f"its array {name!r} is of shape {arrays[name].shape} and dtype {arrays[name].dtype}")
+    if not faults:
+        distance = abs(arrays["places"] - positions).max()
+        if not distance <= POSITION_TOLERANCE * size:
+            faults.append(f"positions of the nodes: up to {distance:.3g} apart")
+    refuse(f"{path} belongs to another problem, or is damaged", faults)
 
 
 def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[str, np.ndarray]) -> Snapshot:

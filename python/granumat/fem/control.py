@@ -6,8 +6,10 @@ from typing import TextIO
 import numpy as np
 
 from .. import tensors
-from ..checks import refuse
+from ..checks import check_type, is_finite_number, is_number, refuse
+from ..errors import InterruptedRunError
 from ..progress import Progress
+from ..signals import noted_signals
 from .errors import SolveError, format_position
 from .problem import Problem
 
@@ -16,6 +18,7 @@ GROWTH_FACTOR = 1.5                 # of the increment after one that was solved
 EASY_ITERATIONS = 6                 # in at most so many Newton iterations
 SMALLEST_INCREMENT = 1 / 1024       # over the first one, if the user says nothing else
 TIME_ROUND_OFF = 1e-9               # over an increment: an event as close as that to its end is its end
+SHORTEST = 1e-12                    # increment over the end of the run, below which t does not grow by it
 
 
 def run(problem: Problem, until: float, increment: float | Callable[[float], float], *, smallest: float | None = None,
@@ -44,41 +47,65 @@ def run(problem: Problem, until: float, increment: float | Callable[[float], flo
         Names everything that is wrong at once.
     SolveError
         An increment cannot be solved however small; the problem and what observers wrote hold everything up to it.
+    InterruptedRunError
+        Ctrl-C or SIGTERM came on one of the ranks; raised on all, with the problem as the last accepted increment left it.
     """
     def largest(t: float) -> float:
         return increment(t) if callable(increment) else increment
 
+    check_type("problem", problem, Problem, "a Problem")
+    refuse("the problem cannot be run", _faults(problem, until, largest, smallest))
     smallest = largest(problem.t) * SMALLEST_INCREMENT if smallest is None else smallest
-    faults = []
-    if not np.isfinite(until) or until < problem.t:
-        faults.append(f"until = {until!r}: must be finite and not before the problem's t = {problem.t:g}")
-    if not largest(problem.t) > 0:
-        faults.append(f"increment = {largest(problem.t)!r}: must be above 0")
-    if not 0 < smallest <= max(largest(problem.t), 0):
-        faults.append(f"smallest = {smallest!r}: must be above 0 and at most the increment")
-    refuse("the problem cannot be run", faults)
     stops = sorted({float(event) for event in events if event < until} | {float(until)})
     first, show_progress = problem.t, Progress(progress if problem.comm.rank == 0 else None)
     for observe in observers:
         observe(problem)
-    while problem.t < until - TIME_ROUND_OFF * smallest:
-        wanted = min(largest(problem.t), problem.next_increment or np.inf)
-        stop = next(stop for stop in stops if stop > problem.t + TIME_ROUND_OFF * smallest)
-        duration = stop - problem.t if problem.t + wanted > stop - TIME_ROUND_OFF * wanted else wanted
-        trial = problem.solve_increment(duration)
-        if trial.failure:
-            problem.next_increment = CUT_FACTOR * duration
-            if problem.next_increment < smallest:
-                raise SolveError(f"the increment from t = {problem.t:g} cannot be solved, although it was cut to {duration:.3g}: "
-                                 f"{trial.failure}{diagnosis(problem)}")
-            continue
-        easy = len(trial.residuals) <= EASY_ITERATIONS + 1
-        if duration == wanted or not easy:                      # how easy one is that an event shortened tells nothing
-            problem.next_increment = duration * (GROWTH_FACTOR if easy else 1.0)
-        problem.accept(trial, stop if abs(stop - trial.t) <= TIME_ROUND_OFF * smallest else None)
-        for observe in observers:
-            observe(problem)
-        show_progress(f"t = {problem.t:.6g} of {until:.6g}", (problem.t - first) / (until - first))
+    with noted_signals() as stop:
+        while problem.t < until - TIME_ROUND_OFF * smallest:
+            wanted = min(largest(problem.t), problem.next_increment or np.inf)
+            following = next(stop for stop in stops if stop > problem.t + TIME_ROUND_OFF * smallest)
+            duration = following - problem.t if problem.t + wanted > following - TIME_ROUND_OFF * wanted else wanted
+            trial = problem.solve_increment(duration, stop)
+            _check_signals(problem, stop)
+            if trial.failure:
+                problem.next_increment = CUT_FACTOR * duration
+                if problem.next_increment < smallest:
+                    raise SolveError(f"the increment from t = {problem.t:g} cannot be solved, although it was cut to "
+                                     f"{duration:.3g}: {trial.failure}{diagnosis(problem)}")
+                continue
+            easy = len(trial.residuals) <= EASY_ITERATIONS + 1
+            if duration == wanted or not easy:                  # how easy one is that an event shortened tells nothing
+                problem.next_increment = duration * (GROWTH_FACTOR if easy else 1.0)
+            problem.accept(trial, following if abs(following - trial.t) <= TIME_ROUND_OFF * smallest else None)
+            for observe in observers:
+                observe(problem)
+            show_progress(f"t = {problem.t:.6g} of {until:.6g}", (problem.t - first) / (until - first))
+
+
+def _faults(problem: Problem, until: float, largest: Callable[[float], float], smallest: float | None) -> list[str]:
+    """What is wrong with the arguments of run; the same on all ranks."""
+    faults = []
+    increment, shortest = largest(problem.t), SHORTEST * abs(until) if is_finite_number(until) else 0.0
+    if not is_finite_number(until) or until < problem.t:
+        faults.append(f"until = {until!r}: must be finite and not before the problem's t = {problem.t:g}")
+    if not is_number(increment) or not increment > 0:
+        faults.append(f"increment = {increment!r}: must be a number above 0")
+    elif increment < shortest:
+        faults.append(f"increment = {increment!r}: is lost beside until = {until:g}, must be at least {shortest:g}")
+    if smallest is not None and (not is_number(smallest) or not smallest >= shortest or not smallest > 0
+                                 or (is_number(increment) and smallest > max(increment, 0))):
+        faults.append(f"smallest = {smallest!r}: must be above 0, at least {shortest:g} and at most the increment")
+    free = problem.numbering.free_motions()
+    if free:
+        faults.append(f"nothing holds the body against {', '.join(free)}: give it a Displacement, for a pressure or a tie does not")
+    return faults
+
+
+def _check_signals(problem: Problem, stop: Callable[[], str]) -> None:
+    """InterruptedRunError on all ranks if a signal has come on one; collective."""
+    names = [name for name in problem.comm.allgather(stop()) if name]
+    if names:
+        raise InterruptedRunError(f"{names[0]} has ended the run at t = {problem.t:g}, after {problem.increments} increments")
 
 
 def diagnosis(problem: Problem) -> str:

@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from .. import tensors
 from ..checks import refuse
+from ..files import appending
 from ..history import column_name
 from .cellwise import SHAPES, VertexMesh, on_rank_0
 from .output import Output
@@ -187,7 +188,7 @@ class Fields(Output):
         start = 0 if new else self.numbers[-1].stat().st_size
         if start and start + sum(values.nbytes for values in arrays.values()) > self.LARGEST_FILE:
             self._number_files, start = self._number_files + 1, 0
-        with open(self.numbers[-1], "ab" if start else "wb") as stream:
+        with appending(self.numbers[-1]), open(self.numbers[-1], "ab" if start else "wb") as stream:
             if new:
                 stream.write(cells.tobytes() + positions.tobytes())
             start = stream.tell()
@@ -202,16 +203,24 @@ class Fields(Output):
             record.append(f'<Attribute Name="{name}" AttributeType="{kind}" Center="{center}">{_data_item(values, last, start)}'
                           "</Attribute>\n")
             start += values.nbytes
-        with open(self.path, "wb" if new else "rb+") as stream:
-            if new:
-                stream.write(self.HEAD.encode())
-            else:
-                stream.seek(-len(self.FOOT), os.SEEK_END)
-            stream.write(("".join(record) + "</Grid>\n" + self.FOOT).encode())
+        try:
+            with appending(self.path), open(self.path, "wb" if new else "rb+") as stream:
+                if new:
+                    stream.write(self.HEAD.encode())
+                else:
+                    stream.seek(-len(self.FOOT), os.SEEK_END)
+                stream.write(("".join(record) + "</Grid>\n" + self.FOOT).encode())
+        except OSError:
+            if not new:
+                self._restore_foot()
+            raise
 
     def _truncate(self, sizes: Sequence[int]) -> None:
         super()._truncate(sizes)
-        with open(self.path, "rb+") as stream:                   # where the foot stood, the next record had been written
+        self._restore_foot()                                     # where it stood, the next record had been written
+
+    def _restore_foot(self) -> None:
+        with open(self.path, "rb+") as stream:
             stream.seek(-len(self.FOOT), os.SEEK_END)
             stream.write(self.FOOT.encode())
 

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 from .. import tensors
 from ..coarsen import Content
-from ..errors import GranumatError
+from ..errors import GranumatError, InterruptedRunError
 from ..quantities import QUANTITIES_FILE, read_table
 from ..runs import SHORT_SECONDS, Result, split_stress
 from ..toml import write_content
@@ -72,7 +72,11 @@ class SceneRunner:
         checkpoint = Checkpoint(directory / "checkpoint.npz", outputs, seconds=CHECKPOINT_SECONDS)
         if self.on_one(checkpoint.path.exists):
             resume(checkpoint.path, problem, outputs)
-        failure = _failure(scene, problem, [*outputs, checkpoint])
+        try:
+            failure = _failure(scene, problem, [*outputs, checkpoint])
+        except InterruptedRunError:
+            checkpoint.write(problem)
+            raise
         seconds = [monitor.seconds]
         while not failure and len(seconds) < REPETITIONS and self.comm.bcast(sum(seconds) < SHORT_SECONDS):
             again = Monitor(None)
@@ -102,6 +106,8 @@ def _failure(scene: Scene, problem: Problem, observers: list[Any]) -> str:
     """Runs a problem to its end; why it did not come to it, empty if it did."""
     try:
         run(problem, scene.run.until, scene.run.increment, smallest=scene.run.smallest, events=scene.events, observers=observers)
+    except InterruptedRunError:
+        raise
     except GranumatError as error:
         return str(error)
     return ""

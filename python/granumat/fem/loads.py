@@ -1,9 +1,11 @@
 """What loads a body: gravity and tractions, which do not follow its motion, and pressures, which do."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from ..checks import real_array
 from .body import Body
 from .conditions import Pressure, Traction
 
@@ -45,7 +47,7 @@ class Loads:
 
     def dead(self, t: float) -> np.ndarray:
         """Nodal forces (cells, nodes per cell, d) of gravity and tractions at pseudo-time t."""
-        return self._weight + sum(areas[..., None] * np.asarray(value(t) if callable(value) else value, float)
+        return self._weight + sum(areas[..., None] * _value_at(value, t, "Traction", (self._body.d,))
                                   for areas, value in self._tractions)
 
     def pressures(self, x: np.ndarray, t: float, stiffness: np.ndarray | None = None) -> np.ndarray:
@@ -55,7 +57,7 @@ class Loads:
         """
         forces = np.zeros_like(x)
         for condition, cell_facets in self._pressures:
-            pressure = condition.value(t) if callable(condition.value) else condition.value
+            pressure = _value_at(condition.value, t, "Pressure", ())
             for cells, (values, derivatives, weights) in self._body.facet_groups(cell_facets):
                 tangents = np.einsum("psa,cai->cpsi", derivatives, x[cells])
                 normals = _normals(tangents)
@@ -68,6 +70,15 @@ class Loads:
                                       optimize=True)
                     stiffness[cells] -= block.reshape(len(cells), *stiffness.shape[1:])
         return forces
+
+
+def _value_at(value: Any, t: float, kind: str, shape: tuple[int, ...]) -> np.ndarray:
+    """A load's value at pseudo-time t; ValueError, the same on all ranks, if it is not finite or of another shape."""
+    found = real_array(f"a {kind}'s value", value(t) if callable(value) else value)
+    if found.shape != shape or not np.isfinite(found).all():
+        words = f"{shape[0]} finite numbers" if shape else "a finite number"
+        raise ValueError(f"a {kind}'s value at t = {t:g} is {found.tolist()}: must be {words}")
+    return found
 
 
 def _normals(tangents: np.ndarray) -> np.ndarray:

@@ -1,16 +1,20 @@
 """Meshes of the standard geometries and of gmsh files."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Sequence, Sized
 from pathlib import Path
+from typing import Any
 
 import dolfinx.mesh
 import numpy as np
 from mpi4py import MPI
 
-from ..checks import is_positive_integer, refuse
+from ..checks import LARGEST_COUNT, is_finite_number, is_positive_integer, refuse
 from ._compat import FacetTags, create_mesh, gmsh_reader, quiet_compiler
 
 CELL_SHAPES = {2: ("quadrilateral", "triangle"), 3: ("hexahedron", "tetrahedron")}
+
+GMSH_CELLS = {2: (2, 9, 3, 10), 3: (4, 11, 5, 12)}             # gmsh's numbers of these shapes, of first and second order
 
 
 def box(comm: MPI.Comm, size: Sequence[float], cells: Sequence[int], cell: str | None = None,
@@ -107,7 +111,7 @@ def from_gmsh(comm: MPI.Comm, file: str | Path) -> tuple[dolfinx.mesh.Mesh, Face
     ImportError
         The Python module of gmsh is missing.
     ValueError
-        gmsh cannot read the file, or it names no cells; the same on all ranks.
+        gmsh cannot read the file, or it names no cells, or such that the solver has no elements for; the same on all ranks.
     """
     try:
         import gmsh
@@ -121,12 +125,11 @@ def from_gmsh(comm: MPI.Comm, file: str | Path) -> tuple[dolfinx.mesh.Mesh, Face
             gmsh.open(str(file))
             d = gmsh.model.getDimension()
             groups = gmsh.model.getPhysicalGroups()
-            if d not in (2, 3) or not any(dimension == d for dimension, _ in groups):
-                fault = f"{file}: must have a physical group of surfaces (plane) or volumes, the cells of the body"
+            fault = _gmsh_fault(gmsh.model, d, groups)
             names = {gmsh.model.getPhysicalName(*group): group[1] for group in groups if group[0] == d - 1}
             found = d, {name: tag for name, tag in names.items() if name}
         except Exception as error:                               # gmsh raises nothing more special
-            fault = f"{file} cannot be read by gmsh: {error}"
+            fault = f"cannot be read by gmsh: {error}"
     fault, found = comm.bcast((fault, found))
     if fault is None:
         with quiet_compiler():
@@ -134,8 +137,26 @@ def from_gmsh(comm: MPI.Comm, file: str | Path) -> tuple[dolfinx.mesh.Mesh, Face
     if comm.rank == 0:
         gmsh.finalize()
     if fault is not None:
-        raise ValueError(fault)
+        raise ValueError(f"{file}: {fault}")
     return mesh_and_tags[0], mesh_and_tags[2], found[1]
+
+
+def _gmsh_fault(model: Any, d: int, groups: Sequence[tuple[int, int]]) -> str | None:
+    """What a gmsh model with physical groups lacks to be a body in d dimensions; None if it lacks nothing."""
+    entities = [entity for group in groups if group[0] == d for entity in model.getEntitiesForPhysicalGroup(*group)]
+    if d not in (2, 3) or not entities:
+        return "must have a physical group of surfaces (plane) or volumes, the cells of the body"
+    if len(set(entities)) < len(entities):
+        return "has cells that belong to several physical groups: must be to one"
+    kinds = {kind for entity in entities for kind in model.mesh.getElementTypes(d, entity)}
+    names = sorted(model.mesh.getElementProperties(kind)[0] for kind in kinds)
+    if not kinds:
+        return "has no cells: it must be meshed before it is saved"
+    if len(kinds) > 1 or not kinds <= set(GMSH_CELLS[d]):
+        return f"has cells of the kinds {', '.join(names)}: must be of one kind, {' or '.join(CELL_SHAPES[d])}"
+    if d == 2 and np.ptp(model.mesh.getNodes()[1].reshape(-1, 3)[:, 2]) > 0:
+        return "lies in another plane than x y: must be flat, with one z"
+    return None
 
 
 def _split(corners: np.ndarray, cell: str) -> np.ndarray:
@@ -153,13 +174,13 @@ def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | 
     """The name of the cells' shape; ValueError where annulus cannot be made of its arguments."""
     d = 2 if height is None else 3
     faults = _cell_faults(cells, cell, d)
-    if len(radii) != 2 or not 0 < radii[0] < radii[1]:
+    if not _are_positive(radii, 2) or not radii[0] < radii[1]:
         faults.append(f"radii = {radii!r}: must be 2 numbers above 0, the smaller first")
-    if height is not None and not height > 0:
+    if height is not None and not _are_positive([height], 1):
         faults.append(f"height = {height!r}: must be a number above 0")
-    if not grading > 0:
+    if not _are_positive([grading], 1):
         faults.append(f"grading = {grading!r}: must be a number above 0")
-    if not 0 < angle <= 2 * np.pi:
+    if not is_finite_number(angle) or not 0 < angle <= 2 * np.pi:
         faults.append(f"angle = {angle!r}: must be above 0 and at most 2 pi")
     elif not faults and cells[1] * 2 * np.pi < 3 * angle:
         faults.append(f"cells = {cells!r}: must be 3 sectors or more a turn")
@@ -170,23 +191,31 @@ def check_annulus(radii: Sequence[float], cells: Sequence[int], height: float | 
 def check_box(size: Sequence[float], cells: Sequence[int], cell: str | None = None,
               grading: Sequence[float] | None = None) -> str:
     """The name of the cells' shape; ValueError where box cannot be made of its arguments."""
-    d = len(size)
+    d = len(size) if isinstance(size, Sized) else 0
     if d not in CELL_SHAPES:
         raise ValueError(f"the mesh cannot be made:\n  size = {size!r}: must be 2 or 3 numbers above 0")
     faults = _cell_faults(cells, cell, d)
-    if not all(length > 0 for length in size):
+    if not _are_positive(size, d):
         faults.append(f"size = {size!r}: must be {d} numbers above 0")
-    if grading is not None and (len(grading) != d or not all(ratio > 0 for ratio in grading)):
+    if grading is not None and not _are_positive(grading, d):
         faults.append(f"grading = {grading!r}: must be {d} numbers above 0")
     refuse("the mesh cannot be made", faults)
     return cell or CELL_SHAPES[d][0]
 
 
+def _are_positive(values: object, count: int) -> bool:
+    """Whether values are a sequence of so many finite numbers above 0."""
+    return (isinstance(values, (Sequence, np.ndarray)) and len(values) == count
+            and all(is_finite_number(value) and value > 0 for value in values))
+
+
 def _cell_faults(cells: Sequence[int], cell: str | None, d: int) -> list[str]:
     """What is wrong with the numbers of cells along the axes of a mesh in d dimensions, and with their shape."""
     faults = []
-    if len(cells) != d or not all(map(is_positive_integer, cells)):
+    if not isinstance(cells, Sized) or len(cells) != d or not all(map(is_positive_integer, cells)):
         faults.append(f"cells = {cells!r}: must be {d} integers above 0")
+    elif math.prod(cells) > LARGEST_COUNT:
+        faults.append(f"cells = {cells!r}: must be {LARGEST_COUNT} together at most")
     if cell is not None and cell not in CELL_SHAPES[d]:
         faults.append(f"cell = {cell!r}: must be one of {', '.join(CELL_SHAPES[d])}")
     return faults

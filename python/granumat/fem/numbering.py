@@ -1,5 +1,6 @@
 """From nodal displacements to the unknowns that the conditions leave: local axes, prescribed values, ties, periodic sides."""
 
+from collections import ChainMap
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -7,13 +8,18 @@ import numpy as np
 from mpi4py import MPI
 from scipy.spatial import cKDTree
 
-from ..checks import refuse
+from ..checks import attempt, real_array, refuse
 from .body import Body
+from .cellwise import together
 from .conditions import Displacement, Periodic, Tied
 from .errors import format_position
 
 PRESCRIBED = -1                     # the label of a component whose value is prescribed
 ABSENT = -2                         # the label that stands where no rank has the partner of a periodic node
+MOTIONS = {2: ("translation along x", "translation along y", "rotation"),
+           3: (*(f"translation along {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))}
+FREE = 1e-12                        # over the largest: what hinders a motion less than this is round-off
+SHARE = 0.3                         # of a motion in a free combination of motions that makes it worth naming; one has 1/sqrt(6)
 PARTNER_DISTANCE = 1e-8             # largest distance to a periodic partner, over the body's size
 ORTHONORMALITY = 1e-9               # largest error of local axes, and difference of axes that must be the same
 
@@ -25,7 +31,7 @@ class Numbering:
     ----------
     body : Body
     conditions : sequence
-        Those of other types than Displacement, Tied and Periodic are left to Loads.
+        Of those of other types than Displacement, Tied and Periodic, which are left to Loads, only the place is checked.
 
     Attributes
     ----------
@@ -48,13 +54,14 @@ class Numbering:
         self._body, self._comm = body, body.comm
         numbers = np.asarray(body.space.dofmap.index_map.local_to_global(np.arange(count, dtype=np.int32)), np.int64)
         self.labels = numbers[:, None] * d + np.arange(d)
+        self._own_labels = self.labels.copy()
         self.axes = np.tile(np.eye(d), (count, 1, 1))
         self._has_own_axes = np.zeros(count, bool)
-        self._values: list[tuple[np.ndarray, list[int], Any]] = []             # nodes, components, value of the Displacements
+        self._values: list[tuple[np.ndarray, list[int], Displacement]] = []    # with their nodes and components
         faults: list[str] = []
 
         placed = [(condition, self._place(condition, f"condition {number} ({type(condition).__name__})", faults))
-                  for number, condition in enumerate(conditions) if isinstance(condition, (Displacement, Tied, Periodic))]
+                  for number, condition in enumerate(conditions)]
         self._label_tied([(condition, nodes) for condition, nodes in placed if isinstance(condition, Tied)])
         self._label_prescribed([(condition, nodes) for condition, nodes in placed if isinstance(condition, Displacement)])
         for condition, nodes in placed:
@@ -63,24 +70,29 @@ class Numbering:
                 faults.append(f"Tied: component {condition.component} of its displacement is given at some of its nodes")
         for condition, nodes in placed:
             if isinstance(condition, Periodic):
-                self._label_periodic(nodes, condition.partner(body.positions[nodes]), faults)
+                self._label_periodic(nodes, self._partners(condition, nodes), faults)
         refuse("the conditions do not fit the mesh", sorted(set().union(*self._comm.allgather(faults))))
 
         self.cell_labels = self.labels[body.cell_nodes].reshape(body.cells, -1)
         self.is_prescribed = self.labels == PRESCRIBED
         self._rotated_cells = np.flatnonzero(self._has_own_axes[body.cell_nodes].any(axis=1))
 
-    def _place(self, condition: Displacement | Tied | Periodic, name: str, faults: list[str]) -> np.ndarray:
+    def _place(self, condition: Any, name: str, faults: list[str]) -> np.ndarray:
         """The nodes of a condition, which get its axes if it has some."""
-        nodes = self._body.nodes_at(condition.where)
+        nodes = attempt(faults, f"{name}: ", self._body.nodes_at, condition.where)
+        if nodes is None:
+            return np.empty(0, np.int32)
         if self._comm.allreduce(len(nodes)) == 0:
             faults.append(f"{name}: there is no node where it should hold")
-        if condition.axes is not None:
+        if getattr(condition, "axes", None) is not None:
             self._set_axes(nodes, condition.axes, name, faults)
         return nodes
 
     def _set_axes(self, nodes: np.ndarray, axes: Callable, name: str, faults: list[str]) -> None:
         frames = np.asarray(axes(self._body.positions[nodes]))
+        if frames.shape != self.axes[nodes].shape:
+            faults.append(f"{name}: its axes are of shape {frames.shape} for {len(nodes)} nodes: must be {self.axes[nodes].shape}")
+            return
         if not np.allclose(frames.transpose(0, 2, 1) @ frames, np.eye(self._body.d), atol=ORTHONORMALITY):
             faults.append(f"{name}: its axes are not orthonormal")
         before = self._has_own_axes[nodes]
@@ -98,7 +110,16 @@ class Numbering:
         for displacement, nodes in displacements:
             components = list(range(self._body.d) if displacement.components is None else displacement.components)
             self.labels[nodes[:, None], components] = PRESCRIBED
-            self._values.append((nodes, components, displacement.value))
+            self._values.append((nodes, components, displacement))
+
+    def _partners(self, condition: Periodic, nodes: np.ndarray) -> np.ndarray:
+        """Positions (n, d) of the partners of nodes."""
+        x = self._body.positions[nodes]
+        partners = np.asarray(condition.partner(x), float)
+        if partners.shape != x.shape:
+            raise ValueError(f"a Periodic condition's partner returns shape {partners.shape} for x of shape {x.shape}: must be the "
+                             "same")
+        return partners
 
     def _label_periodic(self, nodes: np.ndarray, partners: np.ndarray, faults: list[str]) -> None:
         """Gives nodes the labels of the nodes at the partners' positions (n, d), whichever rank owns these."""
@@ -121,13 +142,35 @@ class Numbering:
         self.labels[nodes] = labels
 
     def prescribed(self, t: float) -> np.ndarray:
-        """Prescribed total displacements (nodes, d) along the nodes' axes at pseudo-time t, 0 where the component is free."""
-        values = np.zeros(self._body.positions.shape)
-        for nodes, components, value in self._values:
-            x = self._body.positions[nodes]
-            vectors = np.broadcast_to(value(x, t) if callable(value) else value, x.shape)
-            values[nodes[:, None], components] = np.einsum("nij,ni->nj", self.axes[nodes], vectors)[:, components]
-        return values
+        """Prescribed total displacements (nodes, d) along the nodes' axes at pseudo-time t, 0 where the component is free.
+
+        Raises
+        ------
+        ValueError
+            They are not finite, or not of the right shape, on one of the ranks; the same on all of them.
+        """
+        def values() -> np.ndarray:
+            values = np.zeros(self._body.positions.shape)
+            for nodes, components, displacement in self._values:
+                vectors = _vectors(displacement.value, self._body.positions[nodes], t)
+                values[nodes[:, None], components] = np.einsum("nij,ni->nj", self.axes[nodes], vectors)[:, components]
+            return values
+        return together(self._comm, values)
+
+    def free_motions(self) -> list[str]:
+        """Rigid motions, in words, that neither prescribed displacements, ties nor periodic sides hinder; collective."""
+        motions = np.einsum("nij,nim->njm", self.axes, _rigid_motions(self._body.positions / self._body.size))
+        tied = self.labels != self._own_labels                   # prescribed, or with the equation of another component
+        wanted = set().union(*self._comm.allgather(set(self.labels[tied].tolist())))
+        owned = self._own_labels[:self._body.owned_nodes]
+        sought = np.isin(owned, list(wanted))
+        mine = dict(zip(owned[sought].tolist(), motions[:self._body.owned_nodes][sought]))
+        by_label = dict(ChainMap({PRESCRIBED: np.zeros(motions.shape[2])}, *self._comm.allgather(mine)))
+        same = np.array([by_label[label] for label in self.labels[tied].tolist()])
+        differences = motions[tied] - same.reshape(-1, motions.shape[2])
+        hindrance, combinations = np.linalg.eigh(self._comm.allreduce(differences.T @ differences))
+        free = combinations[:, hindrance <= FREE * max(1.0, hindrance[-1])]
+        return [name for name, shares in zip(MOTIONS[self._body.d], free) if np.linalg.norm(shares) > SHARE]
 
     def to_axes(self, vectors: np.ndarray) -> np.ndarray:
         """Components (nodes, d) along the nodes' axes of vectors (nodes, d) along x y (z)."""
@@ -153,3 +196,27 @@ class Numbering:
             blocks = stiffness[rotated].reshape(len(rotated), -1, self._body.d, axes.shape[1], self._body.d)
             blocks = np.einsum("caik,caibj,cbjl->cakbl", axes, blocks, axes, optimize=True)
             stiffness[rotated] = blocks.reshape(len(rotated), *stiffness.shape[1:])
+
+
+def _rigid_motions(x: np.ndarray) -> np.ndarray:
+    """Displacements (nodes, d, m) of nodes at x (nodes, d) in the small motions MOTIONS of a rigid body."""
+    count, d = x.shape
+    motions = np.zeros((count, d, len(MOTIONS[d])))
+    motions[:, range(d), range(d)] = 1
+    for number, (i, j) in enumerate([(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)], d):
+        motions[:, i, number], motions[:, j, number] = -x[:, j], x[:, i]
+    return motions
+
+
+def _vectors(value: Any, x: np.ndarray, t: float) -> np.ndarray:
+    """The displacements (n, d) that a value of Displacement gives nodes at x (n, d); ValueError where they are none."""
+    vectors = real_array("a Displacement's value", value(x, t) if callable(value) else value)
+    try:
+        vectors = np.broadcast_to(vectors, x.shape)
+    except ValueError:
+        raise ValueError(f"a Displacement's value is of shape {vectors.shape} for x of shape {x.shape}: must be the same, or one "
+                         "vector or number for all") from None
+    finite = np.isfinite(vectors).all(axis=1)
+    if not finite.all():
+        raise ValueError(f"a Displacement's value is not finite at t = {t:g} at {format_position(x[~finite][0])}")
+    return vectors

@@ -10,6 +10,7 @@ from typing import Any
 
 from mpi4py import MPI
 
+from ..files import naming
 from .cellwise import on_rank_0
 from .problem import Problem
 
@@ -59,10 +60,14 @@ class Output:
         """How far the files are written, for `restore`. To be called on rank 0; everything is on disk when it returns."""
         sizes = []
         for file in self.growing_files() if self.written is not None else ():
-            with open(file, "rb+") as stream:
+            with naming(file), open(file, "rb+") as stream:
                 os.fsync(stream.fileno())
                 sizes.append(stream.seek(0, os.SEEK_END))
-        return {"written": self.written, "sizes": sizes}
+        return {"written": self.written, "sizes": sizes, "content": self.content()}
+
+    def content(self) -> Any:
+        """What the records are of, as JSON has it: a file goes on with records of the same only."""
+        return None
 
     def restore(self, bookmark: dict[str, Any], comm: MPI.Comm) -> None:
         """Cuts off what was written after a bookmark; collective.
@@ -70,8 +75,11 @@ class Output:
         Raises
         ------
         ValueError
-            A file is missing or shorter than at the bookmark.
+            A file is missing or shorter than at the bookmark, or its records are of something else.
         """
+        if bookmark.get("content") != self.content():
+            raise ValueError(f"{self.path} cannot be continued: its rows are of {bookmark.get('content')}, now asked for are "
+                             f"{self.content()}")
         self.written = bookmark["written"]
         if self.written is not None:
             on_rank_0(comm, lambda: self._truncate(bookmark["sizes"]))

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..checks import refuse
+from ..files import replacing
 from .cellwise import VertexMesh, on_rank_0
 from .fields import SCALAR_FIELDS, cell_fields, check_fields, field_label
 from .output import Output
@@ -53,7 +54,8 @@ class Pictures(Output):
             hertzian = problem.material.contact == "hertzian"
             label = field_label(self.field).replace("\\,d/k", "/k_{Hz}" if hertzian else "\\,d/k")
             figure = field_figure(positions[polygons], values[cells], label, f"t = {problem.t:.6g}")
-            figure.savefig(f"{self.path}-{problem.increments:06d}.png", dpi=130)
+            with replacing(f"{self.path}-{problem.increments:06d}.png") as partial:
+                figure.savefig(partial, dpi=130, format="png")
         on_rank_0(problem.comm, draw)
 
 

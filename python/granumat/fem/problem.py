@@ -2,18 +2,21 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from types import NoneType
 from typing import Any
 
 import dolfinx.mesh
 import numpy as np
+from mpi4py import MPI
 
 from .. import tensors
-from ..checks import is_number, refuse
+from ..checks import check_type, is_number, real_array, refuse
 from ..core import STATE, status_message
 from ..errors import MaterialError
 from ..material import Material
 from ._compat import FacetTags
 from .body import ELEMENT_FAILURES, Body
+from .cellwise import together
 from .conditions import Displacement, Periodic, Pressure, Tied, Traction, Where
 from .errors import format_position
 from .loads import Loads
@@ -26,6 +29,8 @@ SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step 
 PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
 DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
 STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
+KINDS = (Displacement, Tied, Periodic, Pressure, Traction)
+STOPPED = "it was given up"
 UNJAMMED_STIFFNESS = 1e-6           # in k/d: where -tr(stress) is less, it is added to the tangent alone, against singular matrices
 
 
@@ -107,12 +112,18 @@ class Problem:
     ------
     ValueError
         Names everything that is wrong at once.
+    TypeError
+        An argument is of another type.
     """
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, material: Material, state: np.void | Callable, conditions: Sequence[object] = (), *,
                  degree: int = 1, gravity: Sequence[float] | None = None, rate_term: float = 0.0,
                  facet_tags: FacetTags | None = None, tolerances: Tolerances = Tolerances(),
                  solver: dict[str, object] | None = None) -> None:
+        check_type("mesh", mesh, dolfinx.mesh.Mesh, "a dolfinx.mesh.Mesh")
+        check_type("material", material, Material, "a Material")
+        check_type("tolerances", tolerances, Tolerances, "a Tolerances")
+        check_type("solver", solver, (dict, NoneType), "a dict of PETSc options")
         refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term))
         self.material, self.degree, self.conditions = material, degree, tuple(conditions)
         self.rate_term, self.gravity, self.initial, self.tolerances = rate_term, gravity, state, tolerances
@@ -129,9 +140,17 @@ class Problem:
         self.displacement = np.zeros_like(self.positions)
         points = self.cells * len(self.body.element.weights)
         self.states: np.ndarray = np.empty(points, STATE).view(np.recarray)
-        self.states[:] = state(self.point_positions()) if callable(state) else state
+        self.states[:] = together(self.comm, self._initial_states)
         self.shear_strain, self.volume_strain = np.zeros(points), np.zeros(points)
         self.loads = Loads(self.body, self.conditions, gravity, self.states["volume_fraction"] * self.point_volumes())
+
+    def _initial_states(self) -> Any:
+        x = self.point_positions()
+        states = self.initial(x) if callable(self.initial) else self.initial
+        self.material.check_start(states)
+        if callable(self.initial) and np.shape(states) != (len(x),):
+            raise ValueError(f"the initial state returns shape {np.shape(states)} for {len(x)} points: must be {(len(x),)}")
+        return states
 
     # ---- where it is -----------------------------------------------------------------------------------------------
 
@@ -152,6 +171,15 @@ class Problem:
         """Positions (cells, nodes per cell, d) of the cells' nodes now."""
         return self.body.at_cells(self.positions + self.displacement)
 
+    def lag_of_prescribed(self) -> tuple[float, np.ndarray]:
+        """How far the displacements are from those prescribed now at most, and the position at the start where; collective."""
+        lag = abs(self.numbering.prescribed(self.t) - self.numbering.to_axes(self.displacement))
+        lag = np.where(self.numbering.is_prescribed, lag, 0).max(axis=1, initial=0.0)
+        node = int(np.argmax(lag)) if len(lag) else None
+        own = (0.0, []) if node is None else (float(lag[node]), self.positions[node].tolist())
+        largest, position = max(self.comm.allgather(own))
+        return largest, np.array(position)
+
     def snapshot(self) -> Snapshot:
         """What the problem has come to, for `restore`."""
         return Snapshot(**{entry.name: getattr(self, entry.name) for entry in fields(Snapshot)})
@@ -163,8 +191,14 @@ class Problem:
 
     # ---- one increment ---------------------------------------------------------------------------------------------
 
-    def solve_increment(self, duration: float) -> Trial:
+    def solve_increment(self, duration: float, stop: Callable[[], object] = lambda: False) -> Trial:
         """Tries to bring the problem to t + duration.
+
+        Parameters
+        ----------
+        duration : float
+        stop : function, optional
+            Whether the increment shall be given up; called in each iteration on all ranks, of which one may want it.
 
         Returns
         -------
@@ -172,7 +206,7 @@ class Problem:
             For `accept` if its `failure` is empty.
         """
         residuals: list[float] = []
-        trial = self._newton(duration, residuals)
+        trial = self._newton(duration, residuals, stop)
         return replace(trial, residuals=tuple(residuals))
 
     def accept(self, trial: Trial, t: float | None = None) -> None:
@@ -198,7 +232,7 @@ class Problem:
         self.shear_strain = self.shear_strain + 2 * tensors.magnitude(tensors.deviator(strain))
         self.volume_strain = self.volume_strain + tensors.trace(strain)
 
-    def _newton(self, duration: float, residuals: list[float]) -> Trial:
+    def _newton(self, duration: float, residuals: list[float], stop: Callable[[], object]) -> Trial:
         """Newton's method with a line search; appends the residual of the first guess and of every iteration to residuals."""
         target = self.numbering.prescribed(self.t + duration) - self.numbering.to_axes(self.displacement)
         round_off = DISPLACEMENT_ROUND_OFF * self.body.size
@@ -212,6 +246,8 @@ class Problem:
         for _ in range(self.tolerances.iterations):
             if trial.failure:
                 return trial
+            if self.comm.allreduce(bool(stop()), MPI.LOR):
+                return replace(trial, failure=STOPPED)
             prescribed = self._prescribed_correction(target, trial)
             stiffness = self.stiffness(trial, tangent)
             tangent = None                                       # its memory is needed by the linear solver
@@ -417,16 +453,70 @@ def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[ob
     """What is wrong with the arguments of Problem."""
     d = mesh.geometry.dim
     faults = []
+    cells = mesh.comm.allgather(mesh.topology.index_map(mesh.topology.dim).size_local)
+    if not all(cells):
+        faults.append(f"the mesh has {sum(cells)} cells, and {cells.count(0)} of the {len(cells)} processes got none of them: take "
+                      "fewer processes")
     if d not in (2, 3) or mesh.topology.dim != d:
         faults.append(f"the mesh has cells of dimension {mesh.topology.dim} in {d} dimensions: must be 2 in 2 or 3 in 3")
     if degree not in (1, 2):
         faults.append(f"degree = {degree!r}: must be 1 or 2")
     if not is_number(rate_term) or not 0 <= rate_term < np.inf:
         faults.append(f"rate_term = {rate_term!r}: must be a finite number, at least 0")
-    if gravity is not None and (np.shape(gravity) != (d,) or not np.isfinite(gravity).all()):
+    if gravity is not None and not _are_numbers(gravity, d):
         faults.append(f"gravity = {gravity!r}: must be {d} finite numbers")
     if material.method != "exact":
         faults.append(f"the material's method is {material.method!r}: must be 'exact', whose tangent this is")
-    kinds = (Displacement, Tied, Periodic, Pressure, Traction)
-    return faults + [f"condition {number}: {condition!r} is none of {', '.join(kind.__name__ for kind in kinds)}"
-                     for number, condition in enumerate(conditions) if not isinstance(condition, kinds)]
+    for number, condition in enumerate(conditions):
+        if isinstance(condition, KINDS):
+            faults += [f"condition {number} ({type(condition).__name__}): {fault}" for fault in _condition_faults(condition, d)]
+        else:
+            faults.append(f"condition {number}: {condition!r} is none of {', '.join(kind.__name__ for kind in KINDS)}")
+    return faults
+
+
+def _condition_faults(condition: Any, d: int) -> list[str]:
+    """What is wrong with a condition on a body in d dimensions, apart from what functions return."""
+    faults = []
+    where = condition.where
+    if not callable(where) and not _are_integers(where):
+        faults.append(f"where = {where!r}: must be a function of positions x (3, n), or one or more facet tags")
+    if isinstance(condition, (Displacement, Traction, Pressure)) and not callable(condition.value):
+        shapes = {Displacement: ((), (d,)), Traction: ((d,),), Pressure: ((),)}[type(condition)]
+        words = " or ".join("a finite number" if shape == () else f"{d} finite numbers" for shape in shapes)
+        try:
+            value = real_array("value", condition.value)
+        except TypeError:
+            value = np.full(1, np.nan)
+        if value.shape not in shapes or not np.isfinite(value).all():
+            faults.append(f"value = {condition.value!r}: must be {words}, or a function")
+    components = getattr(condition, "components", None)
+    if components is not None and not (_are_integers(components) and np.ndim(components) == 1
+                                       and set(components) <= set(range(d)) and len(set(components)) == len(components)):
+        faults.append(f"components = {components!r}: must be different ones of {', '.join(map(str, range(d)))}")
+    if isinstance(condition, Tied) and not (_are_integers(condition.component) and condition.component in range(d)):
+        faults.append(f"component = {condition.component!r}: must be one of {', '.join(map(str, range(d)))}")
+    if isinstance(condition, Periodic) and not callable(condition.partner):
+        faults.append(f"partner = {condition.partner!r}: must be a function of positions (n, d)")
+    axes = getattr(condition, "axes", None)
+    if axes is not None and not callable(axes):
+        faults.append(f"axes = {axes!r}: must be a function of positions (n, d), such as polar()")
+    return faults
+
+
+def _are_numbers(value: object, count: int) -> bool:
+    """Whether a value is a sequence of so many finite real numbers."""
+    try:
+        array = real_array("", value)
+    except TypeError:
+        return False
+    return array.shape == (count,) and bool(np.isfinite(array).all())
+
+
+def _are_integers(value: object) -> bool:
+    """Whether a value is an integer or a sequence of some."""
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        return False
+    return array.dtype.kind in "iu" and array.ndim < 2 and array.size > 0

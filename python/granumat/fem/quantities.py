@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from ..quantities import Quantity
 from .conditions import Where
 from .problem import Problem
 from .symmetry import WHOLE, Symmetry
-from .tables import POINT_COLUMNS, MaterialPoint, Table, point_columns
+from .tables import POINT_COLUMNS, MaterialPoint, Table, point_columns, vector_as_json
 
 PATTERNS = {"reaction": re.compile(r"reaction (?P<field>\w+) of (?P<place>.+)"),
             "moment": re.compile(r"moment (?:(?P<field>\w+) )?of (?P<place>.+)"),
@@ -134,6 +135,11 @@ class Quantities(Table):
     def write(self, problem: Problem) -> None:
         if problem.last is not None:                             # before that there is no reaction
             super().write(problem)
+
+    def content(self) -> object:
+        return {"of": {quantity.name: quantity.of for quantity in self.quantities}, "center": vector_as_json(self.center),
+                "probes": {name: vector_as_json(probe.position) for name, probe in self.probes.items()},
+                "regions": {name: repr(region) if is_dataclass(region) else "a function" for name, region in self.regions.items()}}
 
     def _read_sources(self, d: int | None) -> dict[str, Source]:
         faults: list[str] = []

@@ -1,6 +1,7 @@
 """Builds what a scene file says on its mesh, and runs it."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -10,6 +11,8 @@ from mpi4py import MPI
 
 from ..checks import refuse
 from ..core import STATE
+from ..errors import InterruptedRunError
+from ..files import clear, locked_by_one, run_files
 from ..material import Material
 from ..quantities import QUANTITIES_FILE
 from . import meshes
@@ -26,11 +29,13 @@ from .problem import Problem
 from .quantities import Quantities
 from .reduction import modelled
 from .scene_data import BOX_SIDES, Function, Resting, Scene, SideConditions
-from .scene_file import read_scene
+from .scene_file import ON_SIDE, read_scene
 from .tables import Probe, Reactions
 
+WAYS_OUT = "give --resume to go on with it, --overwrite to replace it, or another directory"
+CHECKPOINT = "checkpoint.npz"
 DEPTH_STEPS = 20                    # over which the weight is summed where phi depends on the depth
-ON_SIDE = 1e-6                      # over the body's size: a facet as close as that to a side's place lies on it
+ZERO = Function((0.0,), (0.0,))
 
 
 def resting(material: Material, volume_fraction: float, weight: float, top: float, pressure: float = 0.0,
@@ -118,14 +123,35 @@ def _make_mesh(table: dict[str, Any], comm: MPI.Comm) -> tuple[dolfinx.mesh.Mesh
     return (meshes.box if table["kind"] == "box" else meshes.annulus)(comm, **arguments), None, {}
 
 
-def _side(table: dict[str, Any], d: int, name: str) -> Callable[[np.ndarray], np.ndarray]:
-    """Function of x (3, n) for a named side."""
+@dataclass(frozen=True)
+class _Plane:
+    """Where a side of a box, or the bottom or top of a ring, is; a function of x (3, n) as `where`."""
+
+    axis: int
+    place: float
+    tolerance: float
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        return abs(x[self.axis] - self.place) < self.tolerance
+
+
+@dataclass(frozen=True)
+class _Circle:
+    """Where the inner or outer side of a ring is; a function of x (3, n) as `where`."""
+
+    radius: float
+    tolerance: float
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        return abs(np.hypot(x[0], x[1]) - self.radius) < self.tolerance
+
+
+def _side(table: dict[str, Any], d: int, name: str) -> _Plane | _Circle:
     if table["kind"] == "box" or name in ("bottom", "top"):
         axis, end = BOX_SIDES[d][name]
         size = table["size"] if table["kind"] == "box" else [0, 0, table["height"]]
-        return lambda x: abs(x[axis] - end * size[axis]) < ON_SIDE * max(size)
-    radius = table["radii"][name == "outer"]
-    return lambda x: abs(np.hypot(x[0], x[1]) - radius) < ON_SIDE * table["radii"][1]
+        return _Plane(axis, float(end * size[axis]), ON_SIDE * max(size))
+    return _Circle(float(table["radii"][name == "outer"]), ON_SIDE * table["radii"][1])
 
 
 def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind: str) -> list[object]:
@@ -133,19 +159,18 @@ def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind
     local_axes = polar() if kind == "annulus" else None
     conditions: list[object] = []
     if entry.displacement:
-        value = _displacement(entry.displacement, kind)
+        value = _Moved(entry.displacement, kind == "annulus")
         conditions.append(Displacement(where, value, sorted(entry.displacement), local_axes))
     if entry.gradient:
-        conditions.append(Displacement(where, _affine(entry.gradient), sorted({i for i, _ in entry.gradient})))
+        conditions.append(Displacement(where, _Strained(entry.gradient), sorted({i for i, _ in entry.gradient})))
     if entry.rotation is not None:
-        conditions.append(Displacement(where, rotation(entry.rotation, entry.center), [0, 1]))
+        conditions.append(Displacement(where, _Turned(entry.rotation, tuple(entry.center)), [0, 1]))
     if entry.platen is not None:
         conditions.append(Tied(where, entry.platen, local_axes))
     if entry.pressure is not None:
         conditions.append(Pressure(where, entry.pressure))
     if entry.traction:
-        components = [entry.traction.get(i, Function((0.0,), (0.0,))) for i in range(len(size))]
-        conditions.append(Traction(where, lambda t: [component(t) for component in components]))
+        conditions.append(Traction(where, _Force(tuple(entry.traction.get(i, ZERO) for i in range(len(size))))))
     if entry.periodic is not None:
         shift = np.zeros(len(size))
         shift[entry.periodic] = size[entry.periodic]
@@ -159,27 +184,57 @@ def _tie_of_sector(angle: float) -> Periodic:
                     lambda x: np.column_stack([np.hypot(x[:, 0], x[:, 1]), 0 * x[:, 1], x[:, 2:]]), polar())
 
 
-def _displacement(components: dict[int, Function], kind: str) -> Callable[[np.ndarray, float], np.ndarray]:
+# Values of conditions. They are data and not closures, so that a checkpoint can compare what loads the body.
+
+@dataclass(frozen=True)
+class _Moved:
     """Value for Displacement from functions by component; of a ring along polar axes."""
-    def value(x: np.ndarray, t: float) -> np.ndarray:
+
+    components: dict[int, Function]
+    is_polar: bool
+
+    def __call__(self, x: np.ndarray, t: float) -> np.ndarray:
         vectors = np.zeros_like(x)
-        for component, function in components.items():
+        for component, function in self.components.items():
             vectors[:, component] = function(t)
-        return np.einsum("nij,nj->ni", polar()(x), vectors) if kind == "annulus" else vectors
-    return value
+        return np.einsum("nij,nj->ni", polar()(x), vectors) if self.is_polar else vectors
 
 
-def _affine(gradient: dict[tuple[int, int], Function]) -> Callable[[np.ndarray, float], np.ndarray]:
+@dataclass(frozen=True)
+class _Strained:
     """Value for Displacement from displacement gradients by component and axis."""
-    def value(x: np.ndarray, t: float) -> np.ndarray:
+
+    gradient: dict[tuple[int, int], Function]
+
+    def __call__(self, x: np.ndarray, t: float) -> np.ndarray:
         vectors = np.zeros_like(x)
-        for (i, j), function in gradient.items():
+        for (i, j), function in self.gradient.items():
             vectors[:, i] += function(t) * x[:, j]
         return vectors
-    return value
 
 
-def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Comm = MPI.COMM_WORLD,
+@dataclass(frozen=True)
+class _Turned:
+    """Value for Displacement: a rotation about a center."""
+
+    angle: Function
+    center: tuple[float, ...]
+
+    def __call__(self, x: np.ndarray, t: float) -> np.ndarray:
+        return rotation(self.angle, self.center)(x, t)
+
+
+@dataclass(frozen=True)
+class _Force:
+    """Value for Traction from functions by component."""
+
+    components: tuple[Function, ...]
+
+    def __call__(self, t: float) -> list[float]:
+        return [component(t) for component in self.components]
+
+
+def solve(path: str | Path, out: str | Path, resumed: bool = False, overwrite: bool = False, comm: MPI.Comm = MPI.COMM_WORLD,
           progress: TextIO | None = None) -> tuple[Problem, list[Path]]:
     """Runs a scene file; what it gives is in the directory `out`.
 
@@ -188,6 +243,8 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Co
     path, out : path
     resumed : bool
         Whether to go on from the checkpoint in `out`.
+    overwrite : bool
+        Whether what an earlier run has left in `out` is removed; without it and `resumed` nothing may be there.
     comm : MPI communicator
     progress : text stream, optional
         As in run.
@@ -201,34 +258,48 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, comm: MPI.Co
     Raises
     ------
     ValueError, OSError
-        Names everything that is wrong with the file at once.
+        Names everything that is wrong with the file at once; or what cannot be written.
     SolveError
         Where it cannot be brought further; fields and a checkpoint of the last accepted increment are written.
+    InterruptedRunError
+        Ctrl-C or SIGTERM came; what is written is the same.
     """
     scene, out = read_scene(path), Path(out)
-    problem, held = problem_of(scene, comm)
-    outputs = _outputs(scene, held, out)
-    checkpoint = Checkpoint(out / "checkpoint.npz", outputs, **scene.output.checkpoint)
-
-    def prepare() -> None:
-        if resumed and not checkpoint.path.exists():
-            raise FileNotFoundError(f"there is no {checkpoint.path} to go on from: run it without --resume")
-        out.mkdir(parents=True, exist_ok=True)
-        if not resumed:
-            checkpoint.path.unlink(missing_ok=True)              # of an earlier run
-    on_rank_0(comm, prepare)
     if resumed:
-        resume(checkpoint.path, problem, outputs)
-    files = [output.path for output in outputs if not isinstance(output, Pictures)] + [checkpoint.path]
-    try:
-        run(problem, scene.run.until, scene.run.increment, smallest=scene.run.smallest, events=scene.events,
-            observers=[*outputs, checkpoint], progress=progress)
-    except SolveError as error:
+        on_rank_0(comm, lambda: _check_checkpoint(out))
+    with locked_by_one(lambda action: on_rank_0(comm, action), out):
+        problem, held = problem_of(scene, comm)
+        outputs = _outputs(scene, held, out)
+        checkpoint = Checkpoint(out / CHECKPOINT, outputs, **scene.output.checkpoint)
+        if resumed:
+            resume(checkpoint.path, problem, outputs)
+        else:
+            on_rank_0(comm, lambda: clear(out, overwrite, WAYS_OUT))
+        try:
+            run(problem, scene.run.until, scene.run.increment, smallest=scene.run.smallest, events=scene.events,
+                observers=[*outputs, checkpoint], progress=progress)
+        except (SolveError, InterruptedRunError) as error:
+            _write_all(problem, outputs, checkpoint)
+            raise type(error)(f"{error}\neverything up to t = {problem.t:g} is in {out}: {_left(comm, out)}"
+                              f"{'; --resume goes on from there' if problem.increments else ''}") from None
+        except OSError as error:
+            raise OSError(f"{error}\nthe run has come to t = {problem.t:g}; in {out} is {_left(comm, out)}; "
+                          + ("there is no checkpoint to go on from" if checkpoint.written is None else
+                             f"--resume goes on from the checkpoint at t = {checkpoint.written:g}")) from None
         _write_all(problem, outputs, checkpoint)
-        raise SolveError(f"{error}\neverything up to t = {problem.t:g} is in {out}: "
-                         f"{', '.join(file.name for file in files)}; --resume goes on from there") from None
-    _write_all(problem, outputs, checkpoint)
-    return problem, files
+    return problem, [output.path for output in outputs if not isinstance(output, Pictures)] + [checkpoint.path]
+
+
+def _check_checkpoint(out: Path) -> None:
+    """FileNotFoundError if a directory has no checkpoint."""
+    if not (out / CHECKPOINT).exists():
+        raise FileNotFoundError(f"there is no {out / CHECKPOINT} to go on from: run it without --resume"
+                                + (", but with --overwrite" if run_files(out) else ""))
+
+
+def _left(comm: MPI.Comm, out: Path) -> str:
+    """What a run has left in its directory, in words; collective."""
+    return on_rank_0(comm, lambda: ", ".join(file.name for file in run_files(out) if file.suffix != ".png") or "nothing")
 
 
 def _outputs(scene: Scene, held: dict[str, Where], out: Path) -> list[Output]:

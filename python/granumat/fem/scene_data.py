@@ -25,6 +25,10 @@ class Function:
     def __call__(self, t: float) -> float:
         return float(np.interp(t, self.times, self.values))
 
+    def up_to(self, t: float) -> list[tuple[float, float]]:
+        """The rows (time, value) before a time, and the value then: what of the function has been until then."""
+        return [(time, value) for time, value in zip(self.times, self.values) if 0 < time < t] + [(t, self(t))]
+
 
 @dataclass(frozen=True)
 class Resting:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import attempt, is_finite_number, is_positive_integer, refuse, repetitions
+from ..checks import COUNT, attempt, is_finite_number, is_positive_integer, refuse, repetitions
 from ..coarsen import claimed_symmetries
 from ..material import Material
 from ..paths import INITIAL, initial_table, read_initial, read_material
@@ -28,6 +28,7 @@ REDUCTIONS = ("sector", "layer", "plane")
 OPPOSITE_SIDES = ({"left", "right"}, {"front", "back"}, {"bottom", "top"})
 CARTESIAN, POLAR = ("x", "y", "z"), ("radial", "circumferential", "z")
 CONDITION_KEYS = ("displacement", "gradient", "rotation", "platen", "pressure", "traction", "periodic")
+ON_SIDE = 1e-6                      # over the body's size: a place as close as that to a side is on it
 CHECKPOINT_SECONDS = 600            # between two checkpoints, if the file says nothing else
 
 
@@ -59,6 +60,8 @@ def read_scene(path: str | Path) -> Scene:
     if mesh is not None:
         faults += [f"[mesh]: {fault}" for fault in reduction_faults(
             mesh, settings, initial, sides, regions or [], [quantity.of for quantity in quantities or []])]
+        faults += [f"[output]: probes: {name} = {x!r}: is outside the body"
+                   for name, x in (output.probes if output else {}).items() if _is_outside(mesh, x)]
     refuse(f"{path} cannot be run", faults)
     assert (material is not None and initial is not None and mesh is not None and settings is not None and sides is not None
             and run is not None and output is not None and regions is not None and quantities is not None)  # or there were faults
@@ -82,7 +85,7 @@ def _check_number(table: dict[str, Any], key: str, allowed_values: str, allowed:
 def _check_count(table: dict[str, Any], key: str, name: str, faults: list[str]) -> None:
     value = table.get(key, 1)
     if not is_positive_integer(value):
-        faults.append(f"{name} = {value!r}: must be an integer, at least 1")
+        faults.append(f"{name} = {value!r}: must be {COUNT}")
 
 
 def _are_numbers(value: object, *counts: int) -> bool:
@@ -117,7 +120,7 @@ def _mesh(content: dict[str, Any], directory: Path) -> dict[str, Any]:
     table = table_of(content, "mesh")
     faults: list[str] = []
     kind = table.get("kind")
-    if kind not in MESH_KEYS:
+    if not isinstance(kind, str) or kind not in MESH_KEYS:
         raise ValueError(f"kind = {kind!r}: must be one of {', '.join(MESH_KEYS)}")
     _check_keys(table, ("kind", *MESH_KEYS[kind][0]), MESH_KEYS[kind][1], faults)
     for name, lengths in {"size": (2, 3), "radii": (2,), "cells": (2, 3)}.items():
@@ -152,9 +155,23 @@ def _grading(value: object, d: int, faults: list[str]) -> list[float]:
     return [1.0] * d
 
 
+def _is_outside(mesh: dict[str, Any], x: Sequence[float]) -> bool:
+    """Whether a position is outside the body of a table [mesh]; not of a gmsh file, which is not read yet."""
+    if mesh["kind"] == "gmsh":
+        return False
+    if mesh["kind"] == "box":
+        low, high, place = [0.0] * len(mesh["size"]), list(mesh["size"]), list(x)
+    else:                                                        # between two nodes the inner side is nearer to the axis
+        inner, outer = mesh["radii"]
+        low, high = [inner * np.cos(np.pi / mesh["cells"][1]), 0.0], [outer, mesh.get("height", 0.0)]
+        place = [float(np.hypot(x[0], x[1])), *x[2:]]
+    slack = ON_SIDE * max(high)
+    return any(not start - slack <= value <= end + slack for start, value, end in zip(low, place, high))
+
+
 def _kind_and_dimension(mesh: object) -> tuple[str | None, int | None]:
     """Kind of the mesh, and 2 or 3; None where there is none, or only the mesh knows. Also of a table with faults."""
-    if not isinstance(mesh, dict) or mesh.get("kind") not in MESH_KEYS:
+    if not isinstance(mesh, dict) or mesh.get("kind") not in tuple(MESH_KEYS):
         return None, None
     if mesh["kind"] == "box":
         return "box", 3 if isinstance(mesh.get("size"), list) and len(mesh["size"]) == 3 else 2

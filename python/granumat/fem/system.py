@@ -11,10 +11,13 @@ import numpy as np
 from mpi4py import MPI
 from petsc4py import PETSc
 
+from ..checks import refuse
+
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
 _Int = np.ctypeslib.as_ctypes_type(PETSc.IntType)
 ERROR_IN_LIBRARY = 76                                  # PETSc's code of the error that MUMPS raises at some singular matrices
 
+MATRIX_TYPES = ("aij", "baij")
 DIRECT = {"mat_type": "baij", "ksp_type": "preonly", "pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
 # Right preconditioning, so that GMRES controls the norm of the residual itself: after a reversal and where shear localises the
 # matrix is indefinite, and the preconditioned residual falls while the residual does not. In steady shear nothing hardens, the
@@ -90,6 +93,8 @@ class System:
         self.matrix = PETSc.Mat().create(comm=comm)
         self.matrix.setSizes(((owned, self.size), (owned, self.size)))
         self.matrix.setBlockSize(block_size)
+        if options.get("mat_type", "aij") not in MATRIX_TYPES:
+            raise ValueError(f"solver: mat_type = {options['mat_type']!r}: must be one of {', '.join(MATRIX_TYPES)}")
         self.matrix.setType(options.get("mat_type", "aij"))
         self._preallocate(comm, block_size)
         self.solver = make_solver(comm, options)
@@ -178,7 +183,7 @@ class System:
             solver.solve(right, self._solution)
         except PETSc.Error as error:
             if error.ierr != ERROR_IN_LIBRARY:
-                raise
+                raise ValueError(f"solver: PETSc cannot solve with the options that were given: {_last_line(error)}") from None
             return False
         return bool(solver.getConvergedReason() > 0 and np.isfinite(self._solution.norm()))
 
@@ -200,11 +205,22 @@ def make_solver(comm: MPI.Comm, options: Mapping[str, object]) -> PETSc.KSP:
     solver = PETSc.KSP().create(comm)
     solver.setOptionsPrefix(f"granumat_{zlib.crc32(repr(sorted(options.items())).encode()):08x}_")
     database = PETSc.Options(solver.getOptionsPrefix())
+    refuse("the options of the solver cannot be used", [
+        f"{name} = {value!r}: must be a text, a number, true or false" for name, value in options.items()
+        if not isinstance(name, str) or not isinstance(value, (str, int, float))])
     for name, value in options.items():
         if name != "mat_type":
             database[name] = value
-    solver.setFromOptions()
+    try:
+        solver.setFromOptions()
+    except PETSc.Error as error:
+        raise ValueError(f"solver: PETSc refuses the options {dict(options)}: {_last_line(error)}") from None
     return solver
+
+
+def _last_line(error: PETSc.Error) -> str:
+    """What of PETSc's message says why, without the calls that have led there."""
+    return str(error).splitlines()[-1].removeprefix("[0] ")
 
 
 def warn_of_reference_blas() -> None:

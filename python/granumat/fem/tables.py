@@ -7,8 +7,11 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import driver
+from ..checks import real_array
+from ..files import appending
 from .cellwise import on_rank_0
 from .conditions import Where
+from .errors import format_position
 from .fields import stress_ratio
 from .output import Output
 from .problem import Problem
@@ -26,7 +29,7 @@ class Table(Output):
 
     def append_row(self, comm: MPI.Comm, row: Mapping[str, float]) -> None:
         def append() -> None:
-            with open(self.path, "w" if self.written is None else "a", encoding="utf-8") as stream:
+            with appending(self.path), open(self.path, "w" if self.written is None else "a", encoding="utf-8") as stream:
                 if self.written is None:
                     print(",".join(row), file=stream)
                 print(",".join(f"{value:.15g}" for value in row.values()), file=stream)
@@ -58,6 +61,9 @@ class Reactions(Table):
         if problem.last is not None:                             # before that there is no reaction
             super().write(problem)
 
+    def content(self) -> object:
+        return {"parts": list(self.parts), "center": vector_as_json(self.center)}
+
     def _write(self, problem: Problem) -> None:
         assert problem.last is not None
         row: dict[str, float] = {"t": problem.t, "iterations": len(problem.last.residuals) - 1}
@@ -66,6 +72,11 @@ class Reactions(Table):
             row |= {f"{name}_F_{axis}": value for axis, value in zip("xyz", force)}
             row |= {f"{name}_M": moment} if len(force) == 2 else {f"{name}_M_{axis}": m for axis, m in zip("xyz", moment)}
         self.append_row(problem.comm, row)
+
+
+def vector_as_json(vector: Sequence[float] | np.ndarray | None) -> list[float] | None:
+    """A vector as JSON has it."""
+    return None if vector is None else [float(value) for value in vector]
 
 
 def point_columns(problem: Problem, points: np.ndarray | slice, symmetry: Symmetry = WHOLE,
@@ -99,16 +110,22 @@ class MaterialPoint:
     position : sequence (d)
         In the whole body.
     symmetry : Symmetry, optional
+
+    Raises
+    ------
+    ValueError
+        The position is outside the body, when it is looked for.
     """
 
     def __init__(self, position: Sequence[float], symmetry: Symmetry = WHOLE) -> None:
-        self.symmetry, self.places = symmetry, symmetry.places(position)
+        self.position = real_array("position", position)
+        self.symmetry, self.places = symmetry, symmetry.places(self.position.tolist())
         self._found: tuple[int, int, Place] | None = None
 
     def columns(self, problem: Problem) -> dict[str, float]:
         """Where it is now, x, y (, z), then POINT_COLUMNS; collective, the same on all ranks."""
         if self._found is None:
-            self._found = _nearest(problem, self.places)
+            self._found = _nearest(problem, self.position, self.places)
         rank, point, place = self._found
         row = None
         if problem.comm.rank == rank:
@@ -118,17 +135,28 @@ class MaterialPoint:
         return problem.comm.bcast(row, root=rank)
 
 
-def _nearest(problem: Problem, places: Sequence[Place]) -> tuple[int, int, Place]:
+def _nearest(problem: Problem, position: np.ndarray, places: Sequence[Place]) -> tuple[int, int, Place]:
     """Rank of the point, its number there, and the place beside whose copy it is nearest.
 
-    Of equally near points it is the one whose cell comes first in the mesh as given, and of copies of a cell the first.
+    Of equally near points it is the one whose cell comes first in the mesh as given, and of copies of a cell the first. A position
+    is in the body if a cell reaches as far from one of its points; at a side that is curved it may lie outside the cells.
     """
+    if any(place.position.shape != (problem.d,) for place in places) or not np.isfinite(position).all():
+        raise ValueError(f"position = {position.tolist()}: must be as many finite numbers as the body has dimensions")
     found: list[tuple[int, ...]] = []
     x = problem.point_positions(at_start=True)
-    cells = np.repeat(problem.mesh.topology.original_cell_index[:problem.cells], len(x) // max(problem.cells, 1))
+    points = len(x) // max(problem.cells, 1)
+    cells = np.repeat(problem.mesh.topology.original_cell_index[:problem.cells], points)
+    corners = np.repeat(problem.body.at_cells(problem.positions), points, axis=0)
+    reach = np.linalg.norm(corners - x[:, None], axis=2).max(axis=1)
+    inside = False
     for number, place in enumerate(places):
-        steps = np.round(np.linalg.norm(x - place.position, axis=1) / (SAME_DISTANCE * problem.body.size)).astype(np.int64)
+        distance = np.linalg.norm(x - place.position, axis=1)
+        inside |= bool((distance <= reach).any())
+        steps = np.round(distance / (SAME_DISTANCE * problem.body.size)).astype(np.int64)
         found += [(int(steps[i]), int(cells[i]), number, problem.comm.rank, int(i)) for i in np.lexsort((cells, steps))[:1]]
+    if not problem.comm.allreduce(inside, MPI.LOR):
+        raise ValueError(f"position = {format_position(position)}: is outside the body")
     _, _, number, rank, point = min(candidate for of_rank in problem.comm.allgather(found) for candidate in of_rank)
     return rank, point, places[number]
 
@@ -153,6 +181,9 @@ class Probe(Table):
                  symmetry: Symmetry = WHOLE) -> None:
         super().__init__(path, every)
         self.point = MaterialPoint(position, symmetry)
+
+    def content(self) -> object:
+        return vector_as_json(self.point.position)
 
     def _write(self, problem: Problem) -> None:
         self.append_row(problem.comm, {"t": problem.t} | self.point.columns(problem))
