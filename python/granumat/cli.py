@@ -259,8 +259,10 @@ def _on_all_ranks(options: argparse.Namespace, action: Callable[[], T]) -> T:
     try:
         return action()
     except BaseException as error:
-        if not (isinstance(error, EXPECTED) and _all_ranks_come(comm)):
-            traceback.print_exc()
+        interrupted = isinstance(error, KeyboardInterrupt)
+        if not (interrupted and comm.size == 1) and not (isinstance(error, EXPECTED) and _all_ranks_come(comm)):
+            if not interrupted:
+                traceback.print_exc()
             MPI.COMM_WORLD.Abort(1)                              # or the other ranks would wait for ever
         raise
 

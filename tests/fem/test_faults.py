@@ -17,7 +17,7 @@ from granumat import GranumatError, Material, cli, driver, fem
 from granumat.errors import InterruptedRunError
 from granumat.fem import scene
 from granumat.fem.ladder import Monitor, SceneRunner
-from granumat.files import LOCK, locked, run_files
+from granumat.files import LOCK, appending, locked, run_files
 from granumat.progress import Progress
 from granumat.runs import Runs
 from granumat.toml import read_toml
@@ -81,9 +81,9 @@ class Signalling:
 
 # ---- full disk ---------------------------------------------------------------------------------------------------------
 
-def check_full_disk(directory, size, whole):
+def check_full_disk(directory, size, whole, text=SCENE):
     """A run with files of at most a size names the one that it cannot write, and goes on to the same end; the name's suffix."""
-    file, out = written(directory, SCENE), directory / "out"
+    file, out = written(directory, text), directory / "out"
     with largest_file(size), pytest.raises(OSError, match="File too large") as caught:
         scene.solve(file, out)
     words = str(caught.value)
@@ -105,6 +105,16 @@ def check_full_disk(directory, size, whole):
 
 def test_a_full_disk_names_the_file_and_the_run_goes_on(tmp_path, whole):
     assert check_full_disk(tmp_path, (whole / "fields.bin").stat().st_size - 1, whole) in (".bin", ".npz", ".png")
+
+
+def test_a_record_of_which_the_disk_takes_a_part_is_cut_off(tmp_path, whole):
+    text = replaced(SCENE, {"checkpoint = { every = 2 }": "checkpoint = { every = 100 }"})
+    assert check_full_disk(tmp_path, (whole / "fields.xdmf").stat().st_size - 1, whole, text) == ".xdmf"
+    table = tmp_path / "table.csv"
+    table.write_text("1,2\n")
+    with largest_file(6), pytest.raises(OSError, match=r"File too large: .*table\.csv"), appending(table), open(table, "a") as file:
+        file.write("3,4\n5,6\n")
+    assert table.read_text() == "1,2\n"
 
 
 @pytest.mark.slow
