@@ -137,7 +137,7 @@ CALLS = [
     (with_probe([0.5]), ValueError, "position = [0.5]: must be as many finite numbers"),
     (with_probe([0.5, np.nan]), ValueError, "must be as many finite numbers"),
     (with_probe("middle"), TypeError, "position = 'middle'"), (with_probe([0.5, 0.5j]), TypeError, "complex128"),
-    (lambda: fem.Pictures(".", "q"), ValueError, "field = 'q'"),
+    (lambda: fem.Pictures(".", "heat"), ValueError, "heat"),
     # meshes
     (lambda: fem.meshes.box(AT, [1, 1], [2]), ValueError, "cells = [2]: must be 2 integers"),
     (lambda: fem.meshes.box(AT, [1, 1], [2, 10**20]), ValueError, "must be 2 integers"),

@@ -102,9 +102,9 @@ SCENES = [
     (BOX + "steps = 5\n", "unknown key 'steps'"),
     # output
     (output("every = 0"), "every = 0"), (output(f"every = {HUGE}"), f"every = {HUGE}"), (output("times = 1"), "times = 1"),
-    (output("times = [-1]"), "times = [-1]"), (output('pictures = ["q"]'), "pictures = ['q']"),
+    (output("times = [-1]"), "times = [-1]"), (output('pictures = ["heat"]'), "heat"),
     (output("pictures = 1"), "pictures = 1"),
-    (output("pictures = [[1]]"), "pictures = [[1]]"),
+    (output("pictures = [[1]]"), "pictures"),
     (output("probes = [1]"), "probes = [1]"), (output("probes = { a = [1] }"), "probes = {'a': [1]}"),
     (output("probes = { a = [5, 5] }"), "probes: a = [5, 5]: is outside the body"),
     (output("probes = { a = [0.5, 0.51] }"), "probes: a = [0.5, 0.51]: is outside the body"),
@@ -120,7 +120,7 @@ SCENES = [
     (BOX + '[[region]]\nname = "a"\nbox = [[5, 5], [6, 6]]\n[[quantity]]\nname = "b"\nof = "mean p of a"\n', "integration point"),
     (quantity('of = "reaction x of lid"'), "there is no side that a condition holds 'lid'"),
     (quantity('of = "reaction z of top"'), "'z' must be one of x, y"), (quantity('of = "p at here"'), "there is no probe 'here'"),
-    (quantity('of = "mean q"'), "'q' must be one of"), (quantity('of = "force"'), "must be \"reaction x of SIDE\""),
+    (quantity('of = "mean heat"'), "'heat' must be one of"), (quantity('of = "force"'), "must be \"reaction x of SIDE\""),
     (quantity('of = "mean p"\nat = [7]'), "at most until = 6"),
     # a body that nothing holds
     (box("displacement = { x = 0, y = 0 }", "pressure = 0.007").replace(SHEAR, ""), "nothing holds the body against translation"),
