@@ -1,0 +1,276 @@
+"""A run of spheres along a load path: a table of its history, a file that says how it was made, and how it goes on after a kill.
+
+The steps of a load path are written as in path files: `shear` with `control` and `increments`, `cycles` with `amplitude`, `pause`,
+and isotropic compression to a pressure.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from grains import COLUMNS, DAMPING, HELD, LOOSE, TANGENTIAL, TIMESTEP, Sample, whole_steps
+
+THERMAL = 2000.0            # time for which frictionless spheres move before a compression (appendix B)
+CHECKPOINT = 30.0           # seconds between files from which a run goes on
+STEPS = {"shear": {"control", "increments", "speed"}, "cycles": {"amplitude", "control", "increments", "speed"},
+         "pause": {"increments"}, "pressure": {"time"}}     # what each kind of step may say besides its value
+
+
+@dataclass(frozen=True)
+class Increment:
+    """A row's part of a step.
+
+    Attributes
+    ----------
+    step : int
+        Counted from 1.
+    shear : float
+        Signed shear strain.
+    control : str
+        What is held, from grains.HELD.
+    speed : float
+        Shear rate over that of the run.
+    pause : float
+        Time of rest, as the strain that it would be.
+    pressure : float, or "hold"
+        Isotropic pressure; "hold" is the mean of the normal stresses that the run holds.
+    time : float
+        For how long the pressure is held.
+    """
+
+    step: int
+    shear: float = 0.0
+    control: str = "volume"
+    speed: float = 1.0
+    pause: float = 0.0
+    pressure: float | str = 0.0
+    time: float = 0.0
+
+
+def increments(steps):
+    """The increments of steps.
+
+    Parameters
+    ----------
+    steps : list of dict
+        Tables as in a path file.
+
+    Returns
+    -------
+    list of Increment
+
+    Raises
+    ------
+    ValueError
+        Names every mistake.
+    """
+    plan, faults, count = [], [], 0
+    for number, table in enumerate(steps, 1):
+        kinds = [kind for kind in STEPS if kind in table]
+        if len(kinds) != 1:
+            faults.append(f"step {number}: has {', '.join(kinds) or 'none'} of {', '.join(STEPS)}; must have one")
+            continue
+        kind = kinds[0]
+        unknown = set(table) - STEPS[kind] - {kind}
+        if unknown:
+            faults.append(f"step {number}: {', '.join(sorted(unknown))} unknown; a step with {kind} may have "
+                          f"{', '.join(sorted(STEPS[kind]))}")
+        control, rows = table.get("control", "volume"), table.get("increments", 1)
+        if control not in HELD:
+            faults.append(f"step {number}: control = {control!r}: must be one of {', '.join(HELD)}")
+        if not isinstance(rows, int) or rows < 1:
+            faults.append(f"step {number}: increments = {rows!r}: must be an integer, at least 1")
+            continue
+        shear = {"control": control, "speed": table.get("speed", 1.0)}
+        parts = {"shear": [{"shear": table.get("shear", 0) / rows, **shear}],
+                 "cycles": [{"shear": sign * table.get("amplitude", 0) / rows, **shear} for sign in (1, -1)] * table.get("cycles", 0),
+                 "pause": [{"pause": table.get("pause", 0) / rows}],
+                 "pressure": [{"pressure": table.get("pressure"), "time": table.get("time", 0.0)}]}[kind]
+        for part in parts:
+            count += 1
+            plan += [Increment(count, **part)] * rows
+    if faults:
+        raise ValueError("the steps cannot be made:\n  " + "\n  ".join(faults))
+    return plan
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run, and where it is kept.
+
+    Attributes
+    ----------
+    table : Path
+        The CSV file; beside it are its .toml, what it was made with, and while it runs a .restart for each checkpoint.
+    steps : list of dict
+    mu : float
+    phi : float
+        Volume fraction of the packing.
+    seed : int
+    number : int
+        Spheres.
+    rate : float
+        Shear rate, in sqrt(k/m).
+    start : str or Run
+        "packed" isotropically with friction at phi; "thermal", frictionless at phi (appendix B); or the last state of another run.
+    contact : str
+    normal_stress : tuple of 3 floats
+        sigma_xx, sigma_yy, sigma_zz that are held where a control holds them.
+    """
+
+    table: Path
+    steps: list
+    mu: float
+    phi: float
+    seed: int
+    number: int
+    rate: float
+    start: str | Run = "packed"
+    contact: str = "hookean"
+    normal_stress: tuple = (0.0, 0.0, 0.0)
+
+    @property
+    def state(self):
+        """The file of the run's last state."""
+        return self.table.with_suffix(".restart")
+
+    @property
+    def plan(self):
+        """Its increments."""
+        return increments(self.steps)
+
+    @property
+    def complete(self):
+        """Whether all rows are there."""
+        return self.table.exists() and self._rows() == len(self.plan) + 1
+
+    def _rows(self):
+        return len(self.table.read_text().splitlines()) - 1
+
+    def provenance(self):
+        """What the run is made with, as a TOML file."""
+        lines = ["# Made by demos/dem/run.py; diameter, mass and normal stiffness of the spheres are 1, stresses are in k/d",
+                 *(f"{name} = {_toml(getattr(self, name))}" for name in
+                   ("mu", "phi", "seed", "number", "contact", "rate", "normal_stress")),
+                 f"start = {_toml(self.start if isinstance(self.start, str) else self.start.table.name)}",
+                 f"timestep = {TIMESTEP}", f"tangential_stiffness = {TANGENTIAL:.6g}", f"damping = {DAMPING:.6g}"]
+        for step in self.steps:
+            lines += ["", "[[step]]", *(f"{name} = {_toml(value)}" for name, value in step.items())]
+        return "\n".join(lines) + "\n"
+
+    def go(self, report=lambda run, row: None):
+        """Run, or go on from the last checkpoint; a complete run is left alone.
+
+        Parameters
+        ----------
+        report : function of (the run, rows that are there)
+            Called after every row, those of a run in whose state this one starts included.
+
+        Raises
+        ------
+        ValueError
+            If there is a table that was made with other settings.
+        """
+        if self.complete:
+            return
+        self.table.parent.mkdir(parents=True, exist_ok=True)
+        record = self.table.with_suffix(".toml")
+        if record.exists() and record.read_text() != self.provenance():
+            raise ValueError(f"{record}: was made with other settings; remove it and {self.table.name}, or choose another place")
+        record.write_text(self.provenance())
+        sample, done, strain, total = self._resume(report)
+        with self.table.open("a") as file:
+            saved = time.monotonic()
+            for row, part in enumerate(self.plan[done:], done + 1):
+                self._advance(sample, part)
+                strain, total = strain + part.shear, total + abs(part.shear)
+                print(_line(part.step, strain, total, sample.measure()), file=file, flush=True)
+                if time.monotonic() - saved > CHECKPOINT:
+                    self._save(sample, row)
+                    saved = time.monotonic()
+                report(self, row)
+        sample.save(self.state)
+        self._forget_checkpoints()
+        sample.close()
+
+    def _advance(self, sample, part):
+        if part.shear:
+            sample.shear(part.shear, self.rate * part.speed, part.control, self.normal_stress)
+        elif part.pause:
+            sample.rest(part.pause / self.rate)
+        else:
+            sample.press(sum(self.normal_stress) / 3 if part.pressure == "hold" else part.pressure, part.time)
+
+    # ---- checkpoints -----------------------------------------------------------------------------------------------------
+
+    def _checkpoints(self):
+        return {int(file.suffixes[-2][1:]): file for file in self.table.parent.glob(f"{self.table.stem}.row.*.restart")}
+
+    def _save(self, sample, row):
+        sample.save(self.table.parent / f"{self.table.stem}.row.{row}.restart")
+        for other, file in self._checkpoints().items():
+            if other != row:
+                file.unlink()
+
+    def _forget_checkpoints(self):
+        for file in self._checkpoints().values():
+            file.unlink()
+
+    def _resume(self, report):
+        """The sample, the number of rows after the first, and the shear strains, signed and accumulated."""
+        checkpoints = self._checkpoints()
+        if checkpoints:
+            done = max(checkpoints)
+            plan = self.plan[:done]
+            sample = Sample.restore(checkpoints[done], self.mu, self.contact, self._shear_rate(done))
+            lines = self.table.read_text().splitlines()[:done + 2]
+            _replace(self.table, "\n".join(lines) + "\n")
+            return sample, done, sum(part.shear for part in plan), sum(abs(part.shear) for part in plan)
+        sample = self._start(report)
+        names = ",".join(("step", "gamma", "gamma_total", *COLUMNS))
+        _replace(self.table, f"{names}\n{_line(0, 0.0, 0.0, sample.measure())}\n")
+        self._save(sample, 0)
+        return sample, 0, 0.0, 0.0
+
+    def _shear_rate(self, rows):
+        """The shear rate after so many rows."""
+        if rows:
+            part = self.plan[rows - 1]
+            return whole_steps(part.shear, self.rate * part.speed)[1] if part.shear else 0.0
+        return 0.0 if isinstance(self.start, str) else self.start.last_rate
+
+    @property
+    def last_rate(self):
+        """The shear rate of the last state."""
+        return self._shear_rate(len(self.plan))
+
+    def _start(self, report):
+        if self.start == "thermal":
+            return Sample.random(self.number, self.phi, self.mu, self.seed, self.contact, thermal=THERMAL)
+        if self.start == "packed":
+            sample = Sample.random(self.number, LOOSE, self.mu, self.seed, self.contact)
+            sample.compress(self.phi)
+            return sample
+        self.start.go(report)
+        return Sample.restore(self.start.state, self.mu, self.contact, self.start.last_rate)
+
+
+def _replace(path, text):
+    """Write a file; an old one is replaced at once."""
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(text)
+    partial.replace(path)
+
+
+def _line(step, strain, total, measured):
+    """A row of the table."""
+    return ",".join([str(step), *(f"{value:.8g}" for value in (strain, total, *measured.values()))])
+
+
+def _toml(value):
+    """A value in a TOML file."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    return "[" + ", ".join(map(_toml, value)) + "]" if isinstance(value, (list, tuple)) else repr(value)
