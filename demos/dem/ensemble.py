@@ -2,6 +2,8 @@
 
     python ensemble.py runs                 # makes them in the folder runs
     python ensemble.py runs --list          # says what is there
+
+Runs that collect.py has put into demos/data/ensemble are not made again.
 """
 
 import argparse
@@ -13,6 +15,7 @@ from pathlib import Path
 from run import Run
 
 SETTINGS = Path(__file__).with_name("ensemble.toml")
+COLLECTED = Path(__file__).parents[1] / "data" / "ensemble"
 
 
 def planned(folder, settings):
@@ -33,16 +36,23 @@ def planned(folder, settings):
     runs = {}
     held = {(mu, phi): tuple(stress) for mu, phi, *stress in settings["normal_stress"]}
     for entry in settings["runs"]:
-        name, programme = entry["programme"], settings["programme"][entry["programme"]]
+        name, contact = entry["programme"], entry.get("contact", "hookean")
         for seed in entry["seeds"]:
             for mu, phi in entry["states"]:
-                place = Path(folder) / f"mu{mu:g}_phi{phi:.3f}_s{seed}"
-                common = {"mu": mu, "phi": phi, "seed": seed, "number": settings["number"], "rate": settings["rate"],
-                          "contact": entry.get("contact", "hookean")}
-                start = programme.get("start") or Run(place / "steady.csv", settings["steady"], **common)
-                stress = held.get((mu, phi), (0.0, 0.0, 0.0)) if _holds(programme["step"]) else (0.0, 0.0, 0.0)
-                runs[f"{place.name}/{name}"] = Run(place / f"{name}.csv", programme["step"], start=start, normal_stress=stress,
-                                                   **common)
+                place = Path(folder) / f"{'hertzian_' * (contact == 'hertzian')}mu{mu:g}_phi{phi:.3f}_s{seed}"
+                common = {"mu": mu, "phi": phi, "seed": seed, "contact": contact, "number": settings["number"],
+                          "rate": entry.get("rate", settings["rate"])}
+                steady = Run(place / "steady.csv", settings["steady"], **common)
+                programme = settings["programme"][name] if name != "steady" else {}
+                start = programme.get("start", steady)
+                if start is steady:
+                    runs.setdefault(f"{place.name}/steady", steady)
+                if programme:
+                    stress = held.get((mu, phi)) if _holds(programme["step"]) else (0.0, 0.0, 0.0)
+                    if stress is None:
+                        raise ValueError(f"{name} at mu = {mu}, phi = {phi}: normal_stress says nothing of it")
+                    runs[f"{place.name}/{name}"] = Run(place / f"{name}.csv", programme["step"], start=start, normal_stress=stress,
+                                                       **common)
     return runs
 
 
@@ -67,20 +77,28 @@ class Progress:
                   f"{left / 60:.0f} min left   ", end=end, file=sys.stderr, flush=True)
 
 
+def collected(run, folder):
+    """The table of a run among collected data, which collect.py writes."""
+    return folder / run.table.parent.name.rpartition("_s")[0] / f"{run.table.stem}_s{run.seed}.csv"
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, help="where runs are kept")
     parser.add_argument("--settings", type=Path, default=SETTINGS)
+    parser.add_argument("--collected", type=Path, default=COLLECTED, help="data of runs that need not be made again")
     parser.add_argument("--list", action="store_true", help="say what is there and what is missing")
     arguments = parser.parse_args()
     runs = planned(arguments.folder, tomllib.loads(arguments.settings.read_text()))
+    there = {name: "complete" if run.complete else "collected" if collected(run, arguments.collected).exists() else "missing"
+             for name, run in runs.items()}
     if arguments.list:
-        for name, run in runs.items():
-            print(f"{name:45} {'complete' if run.complete else 'missing'}")
+        for name, what in there.items():
+            print(f"{name:45} {what}")
         return
-    missing = [run for run in runs.values() if not run.complete]
+    missing = [run for name, run in runs.items() if there[name] == "missing"]
     starts = {run.start.table: run.start for run in missing if isinstance(run.start, Run) and not run.start.complete}
-    report = Progress(sum(len(run.plan) for run in missing + list(starts.values())))
+    report = Progress(sum(len(run.plan) for run in {**starts, **{run.table: run for run in missing}}.values()))
     for run in missing:
         run.go(report)
 

