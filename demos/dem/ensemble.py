@@ -62,19 +62,27 @@ def _holds(steps):
 
 
 class Progress:
-    """A line that says what runs, and how long all will take."""
+    """A line that says what runs, and how long all will take by the time that the spheres have moved.
 
-    def __init__(self, rows):
-        self.rows, self.done, self.began = rows, 0, time.monotonic()
+    Parameters
+    ----------
+    runs : list of Run
+        What is to be run.
+    """
+
+    def __init__(self, runs):
+        self.durations = {run.table: run.duration() for run in runs}
+        self.moved, self.began = 0.0, time.monotonic()
 
     def __call__(self, run, row):
-        self.done += 1
-        spent = time.monotonic() - self.began
-        left = spent / self.done * max(self.rows - self.done, 0)
-        end = "\r" if sys.stderr.isatty() else "\n"
+        """A row of a run is there."""
+        self.moved += run.plan[row - 1].duration(run.rate)
+        self.durations[run.table] = run.duration(row)
+        spent = (time.monotonic() - self.began) / 60
+        left = spent / self.moved * sum(self.durations.values())
         if sys.stderr.isatty() or row == len(run.plan):
-            print(f"{run.table.parent.name} {run.table.stem}: row {row} of {len(run.plan)}; all: {spent / 60:.1f} min, "
-                  f"{left / 60:.0f} min left   ", end=end, file=sys.stderr, flush=True)
+            print(f"{run.table.parent.name} {run.table.stem}: row {row} of {len(run.plan)}; {spent:.1f} min, {left:.0f} min left   ",
+                  end="\r" if sys.stderr.isatty() else "\n", file=sys.stderr, flush=True)
 
 
 def collected(run, folder):
@@ -97,8 +105,7 @@ def main():
             print(f"{name:45} {what}")
         return
     missing = [run for name, run in runs.items() if there[name] == "missing"]
-    starts = {run.start.table: run.start for run in missing if isinstance(run.start, Run) and not run.start.complete}
-    report = Progress(sum(len(run.plan) for run in {**starts, **{run.table: run for run in missing}}.values()))
+    report = Progress(missing + [run.start for run in missing if isinstance(run.start, Run) and not run.start.complete])
     for run in missing:
         run.go(report)
 

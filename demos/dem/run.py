@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from grains import COLUMNS, DAMPING, HELD, LOOSE, TANGENTIAL, TIMESTEP, Sample, whole_steps
@@ -47,6 +48,10 @@ class Increment:
     pause: float = 0.0
     pressure: float | str = 0.0
     time: float = 0.0
+
+    def duration(self, rate):
+        """The time that the increment takes in a run of this shear rate."""
+        return (abs(self.shear) / self.speed + self.pause) / rate + self.time
 
 
 def increments(steps):
@@ -136,10 +141,14 @@ class Run:
         """The file of the run's last state."""
         return self.table.with_suffix(".restart")
 
-    @property
+    @cached_property
     def plan(self):
         """Its increments."""
         return increments(self.steps)
+
+    def duration(self, rows=0):
+        """The time that the increments after so many rows take."""
+        return sum(part.duration(self.rate) for part in self.plan[rows:])
 
     @property
     def complete(self):
