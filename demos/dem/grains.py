@@ -77,8 +77,8 @@ class Sample:
         sample = cls(mu, contact)
         sample._number_pair_styles()
         sample.lmp.command(f"read_restart {filename}")
-        sample._set_up()
         sample.rate = rate
+        sample._set_up()
         return sample
 
     @classmethod
@@ -147,14 +147,19 @@ class Sample:
             fix move all nve/sphere
             compute contacts all pair/local dist dx dy dz cutoff radius
             compute spheres all property/local patom1 patom2 cutoff radius
-            compute stress all pressure NULL pair
-            run 0""")
+            compute stress all pressure NULL pair""")
+        self._refresh()
+
+    def _refresh(self):
+        """Find contacts and their forces anew; LAMMPS knows how periodic images move only while it deforms the box."""
+        self.lmp.commands_string(f"fix shape all deform 1 xz erate {self.rate} remap v flip yes\nrun 0\nunfix shape")
 
     def save(self, filename):
         """Write everything that the sample is, memory of the contacts included; an old file is replaced at once."""
         partial = Path(filename).with_name(Path(filename).name + ".part")
+        self._refresh()         # without new lists, LAMMPS loses the memory of contacts across the sides of the box,
         self.lmp.command(f"write_restart {partial}")
-        self.lmp.command("run 0")           # writing sorts spheres into the box anew, without lists of contacts
+        self._refresh()         # and writing leaves the lists without them
         partial.replace(filename)
 
     def close(self):
