@@ -157,9 +157,8 @@ class Sample:
     def save(self, filename):
         """Write everything that the sample is, memory of the contacts included; an old file is replaced at once."""
         partial = Path(filename).with_name(Path(filename).name + ".part")
-        self._refresh()         # without new lists, LAMMPS loses the memory of contacts across the sides of the box,
+        self._refresh()         # from older lists, LAMMPS writes a wrong memory of contacts across the sides of the box
         self.lmp.command(f"write_restart {partial}")
-        self._refresh()         # and writing leaves the lists without them
         partial.replace(filename)
 
     def close(self):
