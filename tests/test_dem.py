@@ -43,11 +43,11 @@ increments = 20
 [programme.reversal]
 step = [{shear = -0.3, increments = 30}]
 [programme.controls]
-step = [{shear = 0.1, increments = 5, control = "normal-stresses"}, {pause = 0.05},
-        {shear = -0.1, increments = 5, control = "normal-load"}]
+step = [{shear = 0.1, increments = 5, control = "normal-stresses", speed = 0.2}, {pause = 0.05},
+        {shear = -0.1, increments = 5, control = "normal-load", speed = 0.2}]
 [programme.reynolds]
 start = "packed"
-step = [{pressure = "hold", time = 400}, {shear = 0.2, increments = 20, control = "pressure"}]
+step = [{pressure = "hold", time = 400}, {shear = 0.2, increments = 20, control = "pressure", speed = 0.2}]
 [programme.compression]
 start = "thermal"
 step = [{pressure = 1e-3, time = 3000}, {pressure = 1e-2, time = 600}]
@@ -90,7 +90,6 @@ def test_stresses_that_are_held_must_be_given():
 def test_columns_are_those_of_a_history_and_the_contacts_of_all_spheres():
     columns = ("step", "gamma", "gamma_total", *run.COLUMNS)
     assert [name for name in COLUMNS if name in columns] == [name for name in columns if name != "Z"]
-    assert set(COLUMNS) - set(columns) == {"eta", "dilatancy", "eta_t"}
 
 
 def test_thinned_tables_keep_the_end_of_every_step_and_evenly_spaced_rows():
@@ -238,7 +237,7 @@ print(json.dumps([x, [low, high, xz], sample.measure()]))""")
 
 @pytest.fixture(scope="module")
 def small(python, tmp_path_factory):
-    """A small ensemble: its folder, its tables by name, and what stood in the first when it was killed, twice."""
+    """A small ensemble: its folder, its tables by name, what stood in the first when it was killed, twice, and the command."""
     folder = tmp_path_factory.mktemp("dem")
     (folder / "small.toml").write_text(SMALL)
     program = f"import sys; sys.path.insert(0, {str(DEM)!r}); import ensemble, run; run.CHECKPOINT = 0; ensemble.main()"
@@ -254,12 +253,12 @@ def small(python, tmp_path_factory):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert "mu0.5_phi0.600_s1 controls: row 11 of 11" in done.stderr
-    return folder, {file.stem: collect.read(file) for file in (folder / "runs").glob("*/*.csv")}, killed
+    return folder, {file.stem: collect.read(file) for file in (folder / "runs").glob("*/*.csv")}, killed, command
 
 
 @pytest.mark.slow
 def test_a_killed_run_goes_on_and_is_told_from_a_complete_one(small):
-    folder, found, killed = small
+    folder, found, killed, command = small
     lines = (folder / "runs" / "mu0.5_phi0.600_s1" / "steady.csv").read_text().splitlines()
     for text in killed:
         kept = text.splitlines()[:-1]           # the last row may have been without its checkpoint
@@ -269,10 +268,11 @@ def test_a_killed_run_goes_on_and_is_told_from_a_complete_one(small):
     assert not list(folder.rglob("*.row.*"))
     runs = ensemble.planned(folder / "runs", tomllib.loads(SMALL))
     assert all(one.complete for one in runs.values())
-    written = {one.table: one.table.stat().st_mtime_ns for one in runs.values()}
-    for one in runs.values():
-        one.go()
-    assert written == {one.table: one.table.stat().st_mtime_ns for one in runs.values()}
+    assert subprocess.run([*command, "--list"], capture_output=True, text=True).stdout.count("complete") == 5
+    times = {file: file.stat().st_mtime_ns for file in (folder / "runs").glob("*/*")}
+    again = subprocess.run(command, capture_output=True, text=True)
+    assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
+    assert times == {file: file.stat().st_mtime_ns for file in (folder / "runs").glob("*/*")}
     table = folder / "runs" / "mu0.5_phi0.600_s1" / "controls.csv"
     whole = table.read_text()
     table.write_text("".join(whole.splitlines(keepends=True)[:-1]))
@@ -281,26 +281,26 @@ def test_a_killed_run_goes_on_and_is_told_from_a_complete_one(small):
 
 
 @pytest.mark.slow
-def test_a_table_made_with_other_settings_is_not_gone_on_with(small):
-    folder, _, _ = small
-    settings = tomllib.loads(SMALL)
-    settings["programme"]["reversal"]["step"] = [{"shear": -0.2, "increments": 7}]
-    other = ensemble.planned(folder / "runs", settings)["mu0.5_phi0.600_s1/reversal"]
-    with pytest.raises(ValueError, match=r"reversal\.toml: was made with other settings; remove it and reversal\.csv"):
-        other.go()
+def test_a_table_made_with_other_settings_is_not_gone_on_with(small, python, tmp_path):
+    folder, *_ = small
+    (tmp_path / "other.toml").write_text(SMALL.replace("shear = -0.3, increments = 30", "shear = -0.2, increments = 7"))
+    done = subprocess.run([python, DEM / "ensemble.py", folder / "runs", "--settings", tmp_path / "other.toml", "--collected", folder],
+                          capture_output=True, text=True)
+    assert done.returncode == 1 and done.stderr.startswith("ensemble.py: ")
+    assert "reversal.toml: was made with other settings; remove it and reversal.csv" in done.stderr
 
 
 @pytest.mark.slow
 def test_controls_hold_what_they_say(small):
-    _, found, _ = small
+    _, found, *_ = small
     for name in ("steady", "reversal"):
         assert found[name]["phi"] == pytest.approx(0.6, rel=1e-6)
     held = found["controls"]
     first, load = held["step"] == 1, held["step"] == 3
     for axis, stress in (("xx", 0.010), ("yy", 0.009), ("zz", 0.011)):
-        assert held[f"sigma_{axis}"][first][-2:] == pytest.approx(stress, rel=0.05), axis
-    assert held["sigma_zz"][load][-2:] == pytest.approx(0.011, rel=0.06)
-    assert held["sigma_yy"][load][-1] != pytest.approx(0.009, rel=0.06)
+        assert held[f"sigma_{axis}"][first] == pytest.approx(stress, rel=0.06), axis
+    assert held["sigma_zz"][load] == pytest.approx(0.011, rel=0.06)
+    assert abs(held["sigma_yy"][load] / 0.009 - 1).max() > 0.06
     assert held["gamma"][held["step"] == 2] == pytest.approx(0.1)
     assert found["reynolds"]["p"][1:] == pytest.approx(0.010, rel=0.05)
     assert found["compression"]["p"][1:] == pytest.approx([1e-3, 1e-2], rel=0.01)
@@ -309,7 +309,7 @@ def test_controls_hold_what_they_say(small):
 
 @pytest.mark.slow
 def test_sheared_spheres_bear_shear_and_lose_pressure_when_sheared_back(small):
-    _, found, _ = small
+    _, found, *_ = small
     steady = found["steady"]["step"] == 2
     assert 0.3 < found["steady"]["stress_ratio"][steady].mean() < 0.5
     assert -0.07 < found["steady"]["A_xz"][steady].mean() < -0.03
@@ -319,7 +319,7 @@ def test_sheared_spheres_bear_shear_and_lose_pressure_when_sheared_back(small):
 
 @pytest.mark.slow
 def test_collected_runs_are_not_made_again(small, tmp_path):
-    folder, found, _ = small
+    folder, found, *_ = small
     runs = ensemble.planned(folder / "runs", tomllib.loads(SMALL))
     collect.collect(runs.values(), tmp_path)
     assert all(ensemble.collected(one, tmp_path).exists() for one in runs.values())

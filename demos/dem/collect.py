@@ -119,7 +119,7 @@ def collect(runs, folder):
     for (place, _), run in changed.items():
         files = sorted(place.glob(f"{run.table.stem}_s*.csv"), key=lambda file: int(file.stem.rpartition("_s")[2]))
         seeds = [int(file.stem.rpartition("_s")[2]) for file in files]
-        (place / f"{run.table.stem}.toml").write_text(run.provenance().replace(f"seed = {run.seed}\n", f"seeds = {seeds}\n"))
+        (place / f"{run.table.stem}.toml").write_text(run.record.read_text().replace(f"seed = {run.seed}\n", f"seeds = {seeds}\n"))
         for name, columns in zip(("mean", "scatter"), over_seeds([read(file) for file in files])):
             write(place / f"{run.table.stem}_{name}.csv", columns)
     if changed:

