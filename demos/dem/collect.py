@@ -77,7 +77,8 @@ def steady_measures(columns, step, rate):
     mean = {name: column[rows].mean() for name, column in columns.items()}
     fabric = math.sqrt(sum(mean[f"A_{axis}"] ** 2 * weight for axis, weight in
                            (("xx", 0.5), ("yy", 0.5), ("zz", 0.5), ("xy", 1), ("xz", 1), ("yz", 1))))
-    return {"I": rate / math.sqrt(mean["p"] / (DENSITY * mean["phi"])), "p": mean["p"], "stress_ratio": -mean["sigma_xz"] / mean["p"],
+    return {"I": rate / math.sqrt(mean["p"] / (DENSITY * mean["phi"])),
+            "p": mean["p"], "stress_ratio": -mean["sigma_xz"] / mean["p"],
             "Z2": mean["Z2"], "A_xz": mean["A_xz"], "A": fabric, "N1/p": (mean["sigma_xx"] - mean["sigma_zz"]) / mean["p"],
             "N2/p": (mean["sigma_zz"] - mean["sigma_yy"]) / mean["p"],
             **{f"sigma_{axis}": mean[f"sigma_{axis}"] for axis in ("xx", "yy", "zz")}}

@@ -81,8 +81,8 @@ class Progress:
         spent = (time.monotonic() - self.began) / 60
         left = spent / self.moved * sum(self.durations.values())
         if sys.stderr.isatty() or row == len(run.plan):
-            print(f"{run.table.parent.name} {run.table.stem}: row {row} of {len(run.plan)}; {spent:.1f} min, {left:.0f} min left   ",
-                  end="\r" if sys.stderr.isatty() else "\n", file=sys.stderr, flush=True)
+            print(f"{run.table.parent.name} {run.table.stem}: row {row} of {len(run.plan)}; {spent:.1f} min, {left:.0f} min left",
+                  end="   \r" if sys.stderr.isatty() else "\n", file=sys.stderr, flush=True)
 
 
 def collected(run, folder):

@@ -1,8 +1,8 @@
 """Equal spheres in a periodic box, moved by LAMMPS: packing, shear under the controls of load paths, and what is measured.
 
-Sphere diameter d, sphere mass m and normal contact stiffness k are 1: stresses are in k/d (in k for Hertzian contacts) and time is in
-sqrt(m/k). Stresses are compression positive; x is the flow, y the vorticity, z the gradient. Sections and equations are those of
-Sun & Sundaresan (2011).
+Sphere diameter d, sphere mass m and normal contact stiffness k are 1: stresses are in k/d (in k_Hz for Hertzian contacts), time
+is in sqrt(m/k). Stresses are compression positive; x is the flow, y the vorticity, z the gradient. Sections and equations are
+those of Sun & Sundaresan (2011).
 
 Needs the Python packages lammps and mpich, whose library of MPI the former is linked with.
 """
@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-# Contacts: their style in LAMMPS; the time step (a Hookean contact of two spheres lasts 2.25, a Hertzian one three times as long); and
-# the gain of a held stress, the strain rate over the missing stress. Bulk moduli are about 0.4 and 0.04, so it is reached within 25.
+# Contacts: their style in LAMMPS; the time step (a Hookean contact of two spheres lasts 2.25, a Hertzian one three times as long);
+# the gain of a held stress, the strain rate over the missing stress. Bulk moduli are about 0.4 and 0.04: it is reached within 25.
 STYLE = {"hookean": "gran/hooke/history", "hertzian": "gran/hertz/history"}
 TIMESTEP = {"hookean": 0.1, "hertzian": 0.3}
 GAIN = {"hookean": 0.1, "hertzian": 1.0}
@@ -69,7 +69,13 @@ class Sample:
     def __init__(self, mu, contact="hookean"):
         self.mu, self.contact, self.rate = mu, contact, 0.0
         self.lmp = _lammps()(cmdargs=["-log", "none", "-screen", "none"])
-        self.lmp.commands_string("units lj\natom_style sphere\natom_modify map array\nboundary p p p\nnewton off\ncomm_modify vel yes")
+        self.lmp.commands_string("""
+            units lj
+            atom_style sphere
+            atom_modify map array
+            boundary p p p
+            newton off
+            comm_modify vel yes""")
 
     @classmethod
     def restore(cls, filename, mu, contact="hookean", rate=0.0):
@@ -134,8 +140,8 @@ class Sample:
     def _number_pair_styles(self):
         """Have LAMMPS number pair styles from 0.
 
-        LAMMPS keeps the memory of contacts in a file under the number that the pair style has in its process, and silently forgets it
-        where a style of another number reads the file.
+        LAMMPS keeps the memory of contacts in a file under the number that the pair style has in its process, and silently forgets
+        it where a style of another number reads the file.
         """
         ctypes.c_int.in_dll(self.lmp.lib, "_ZN9LAMMPS_NS4Pair14instance_totalE").value = 0
 
@@ -194,10 +200,13 @@ class Sample:
         self.lmp.command(f"run {round(time / TIMESTEP[self.contact])}")
 
     def press(self, pressure, time):
-        """Hold all normal stresses at an isotropic pressure for a time."""
-        self._hold({axis: "pressure" for axis in "xyz"}, dict.fromkeys("xyz", pressure), f"remap x max/rate {PACKING_RATE}")
+        """Hold all normal stresses at an isotropic pressure for a time, as often as it takes to reach it within a hundredth."""
+        self._hold(dict.fromkeys("xyz", "pressure"), dict.fromkeys("xyz", pressure), f"remap x max/rate {PACKING_RATE}")
         self.lmp.command("fix drag all viscous 0.002")
-        self.lmp.command(f"run {round(time / TIMESTEP[self.contact])}")
+        reached = False
+        while not reached:
+            self.lmp.command(f"run {round(time / TIMESTEP[self.contact])}")
+            reached = abs(self.measure()["p"] / pressure - 1) < 0.01
         self.lmp.command("unfix drag")
         self.lmp.command("unfix shape")
 
@@ -246,9 +255,9 @@ class Sample:
         Returns
         -------
         dict of str to float
-            Volume fraction; pressure, stress ratio -sigma_xz/p and stress of the contact forces (2.5), compression positive; contacts
-            per sphere Z2 and fabric A (3.1), both without spheres that have fewer than two contacts and without these contacts;
-            contacts per sphere Z of all spheres.
+            Volume fraction; pressure, stress ratio -sigma_xz/p and stress of the contact forces (2.5), compression positive;
+            contacts per sphere Z2 and fabric A (3.1), both without spheres that have fewer than two contacts and without these
+            contacts; contacts per sphere Z of all spheres.
         """
         sigma = self.lmp.numpy.extract_compute("stress", 0, 1).copy()
         p = sigma[:3].mean()
@@ -267,8 +276,3 @@ class Sample:
         normals = pairs[network, 1:] / pairs[network, :1]
         fabric = normals.T @ normals / max(len(normals), 1) - np.eye(3) / 3
         return 2 * len(pairs) / self.number, 2 * network.sum() / max((contacts >= 2).sum(), 1), fabric
-
-    @property
-    def kinetic_energy(self):
-        """Kinetic energy of a sphere's translation, on average; it includes that of the mean shear."""
-        return self.lmp.get_thermo("ke") / self.number

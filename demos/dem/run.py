@@ -18,8 +18,29 @@ from grains import COLUMNS, DAMPING, HELD, LOOSE, TANGENTIAL, TIMESTEP, Sample, 
 VERSION = re.search(r'__version__ = "(.*)"', (Path(__file__).parents[2] / "python" / "granumat" / "__init__.py").read_text())[1]
 THERMAL = 2000.0            # time for which frictionless spheres move before a compression (appendix B)
 CHECKPOINT = 30.0           # seconds between files from which a run goes on
-STEPS = {"shear": {"control", "increments", "speed"}, "cycles": {"amplitude", "control", "increments", "speed"},
-         "pause": {"increments"}, "pressure": {"time"}}     # what each kind of step may say besides its value
+# What each kind of step needs besides its own value, and what it may have.
+STEPS = {"shear": ((), ("control", "increments", "speed")), "cycles": (("amplitude",), ("control", "increments", "speed")),
+         "pause": ((), ("increments",)), "pressure": (("time",), ())}
+
+
+def _is_count(value):
+    return isinstance(value, int) and value > 0
+
+
+def _is_positive(value):
+    return isinstance(value, int | float) and value > 0
+
+
+def _is_strain(value):
+    return isinstance(value, int | float) and value != 0
+
+
+# The values that each key may have, and in words.
+VALUES = {"control": (HELD.__contains__, f"one of {', '.join(HELD)}"),
+          **dict.fromkeys(("shear", "amplitude"), (_is_strain, "a number other than 0")),
+          **dict.fromkeys(("cycles", "increments"), (_is_count, "an integer, at least 1")),
+          **dict.fromkeys(("speed", "pause", "time"), (_is_positive, "a number above 0")),
+          "pressure": (lambda value: value == "hold" or _is_positive(value), "a number above 0, or \"hold\"")}
 
 
 @dataclass(frozen=True)
@@ -74,34 +95,41 @@ def increments(steps):
     ValueError
         Names every mistake.
     """
-    plan, faults, count = [], [], 0
-    for number, table in enumerate(steps, 1):
-        kinds = [kind for kind in STEPS if kind in table]
-        if len(kinds) != 1:
-            faults.append(f"step {number}: has {', '.join(kinds) or 'none'} of {', '.join(STEPS)}; must have one")
-            continue
-        kind = kinds[0]
-        unknown = set(table) - STEPS[kind] - {kind}
-        if unknown:
-            faults.append(f"step {number}: {', '.join(sorted(unknown))} unknown; a step with {kind} may have "
-                          f"{', '.join(sorted(STEPS[kind]))}")
-        control, rows = table.get("control", "volume"), table.get("increments", 1)
-        if control not in HELD:
-            faults.append(f"step {number}: control = {control!r}: must be one of {', '.join(HELD)}")
-        if not isinstance(rows, int) or rows < 1:
-            faults.append(f"step {number}: increments = {rows!r}: must be an integer, at least 1")
-            continue
-        shear = {"control": control, "speed": table.get("speed", 1.0)}
-        parts = {"shear": [{"shear": table.get("shear", 0) / rows, **shear}],
-                 "cycles": [{"shear": sign * table.get("amplitude", 0) / rows, **shear} for sign in (1, -1)] * table.get("cycles", 0),
-                 "pause": [{"pause": table.get("pause", 0) / rows}],
-                 "pressure": [{"pressure": table.get("pressure"), "time": table.get("time", 0.0)}]}[kind]
-        for part in parts:
-            count += 1
-            plan += [Increment(count, **part)] * rows
+    faults = [f"step {number}: {fault}" for number, table in enumerate(steps, 1) for fault in _faults(table)]
     if faults:
         raise ValueError("the steps cannot be made:\n  " + "\n  ".join(faults))
+    plan, count = [], 0
+    for table in steps:
+        for part in _parts(table):
+            count += 1
+            plan += [Increment(count, **part)] * table.get("increments", 1)
     return plan
+
+
+def _faults(table):
+    """What is wrong with a step."""
+    kinds = [kind for kind in STEPS if kind in table]
+    if len(kinds) != 1:
+        return [f"has {', '.join(kinds) or 'none'} of {', '.join(STEPS)}; must have one"]
+    needed, possible = STEPS[kinds[0]]
+    faults = [f"{name} unknown; a step with {kinds[0]} may have {', '.join((*needed, *possible))}"
+              for name in table if name not in (kinds[0], *needed, *possible)]
+    faults += [f"needs {name}" for name in needed if name not in table]
+    return faults + [f"{name} = {value!r}: must be {VALUES[name][1]}" for name, value in table.items()
+                     if name in VALUES and not VALUES[name][0](value)]
+
+
+def _parts(table):
+    """The increment of each part of a step, without its number; cycles have two parts each."""
+    rows = table.get("increments", 1)
+    how = {"control": table.get("control", "volume"), "speed": table.get("speed", 1.0)}
+    if "shear" in table:
+        return [{"shear": table["shear"] / rows, **how}]
+    if "cycles" in table:
+        return [{"shear": sign * table["amplitude"] / rows, **how} for sign in (1, -1)] * table["cycles"]
+    if "pause" in table:
+        return [{"pause": table["pause"] / rows}]
+    return [{"pressure": table["pressure"], "time": table["time"]}]
 
 
 @dataclass(frozen=True)
