@@ -111,6 +111,30 @@ def test_scatter_is_the_standard_deviation_between_seeds():
     assert scatter["gamma"] == pytest.approx([0, 0.1])
 
 
+def made(folder, seed, **settings):
+    """A run whose files are there, of two rows at a pressure that is its seed."""
+    one = run.Run(folder / f"mu0.5_phi0.600_s{seed}" / "reversal.csv", [{"shear": -1.0}], 0.5, 0.6, seed, 100, 6e-5, **settings)
+    one.table.parent.mkdir()
+    one.state.touch()
+    one.record.write_text(f'mu = 0.5\nphi = 0.6\nseed = {seed}\nnormal_stress = {list(one.normal_stress)}\n')
+    values = {name: np.full(2, float(seed)) for name in run.COLUMNS} | {"step": [0, 1], "gamma": [0, -1], "gamma_total": [0, 1]}
+    collect.write(one.table, {name: np.array(values[name], float) for name in ("step", "gamma", "gamma_total", *run.COLUMNS)})
+    return one
+
+
+def test_collected_runs_stay_and_are_joined_only_by_runs_made_like_them(tmp_path):
+    folder = tmp_path / "data"
+    place = folder / "mu0.5_phi0.600"
+    collect.collect([made(tmp_path, 1)], folder)
+    collect.collect([made(tmp_path, 3)], folder)
+    assert collect.read(place / "reversal_mean.csv")["p"] == pytest.approx(2)
+    assert collect.read(place / "reversal_scatter.csv")["p"] == pytest.approx(np.sqrt(2), rel=1e-4)
+    assert "seeds = [1, 3]" in (place / "reversal.toml").read_text()
+    with pytest.raises(ValueError, match=r"may differ in their seeds only:\n.*data.mu0\.5_phi0\.600.reversal\.toml, .*_s4.rev"):
+        collect.collect([made(tmp_path, 2), made(tmp_path, 4, normal_stress=(1.0, 2.0, 3.0))], folder)
+    assert sorted(file.name for file in place.glob("*_s[0-9].csv")) == ["reversal_s1.csv", "reversal_s3.csv"]
+
+
 # ---- collected data --------------------------------------------------------------------------------------------------------
 
 SINGLE, MEANS = sorted(COLLECTED.glob("*/*_s*[0-9].csv")), sorted(COLLECTED.glob("*/*_mean.csv"))

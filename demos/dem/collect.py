@@ -7,6 +7,8 @@ Runs that were collected before stay, and count in the means.
 
 import argparse
 import math
+import re
+import sys
 import tomllib
 from pathlib import Path
 
@@ -16,6 +18,7 @@ from ensemble import COLLECTED, SETTINGS, collected, planned
 ROWS = 120                  # of a step in a thinned table, at most
 DENSITY = 6 / math.pi       # of the spheres
 SETTLING = 0.25             # part of a step of steady shear that does not count, since it has just begun
+SEEDS = re.compile(r"(?m)^seeds? = .*$")        # in the file that says how a run was made
 
 
 def read(table):
@@ -84,10 +87,16 @@ def steady_measures(columns, step, rate):
             **{f"sigma_{axis}": mean[f"sigma_{axis}"] for axis in ("xx", "yy", "zz")}}
 
 
-def steady_table(folder):
-    """Steady shear of all collected runs at constant volume: a row for each mu, phi and rate, with means and scatter over seeds."""
+def steady_table(records):
+    """Steady shear of collected runs at constant volume: a row for each mu, phi and rate, with means and scatter over seeds.
+
+    Parameters
+    ----------
+    records : iterable of Path
+        Files that say how the runs were made; those of other programmes are passed over.
+    """
     found = {}
-    for record in sorted(folder.glob("*/*.toml")):
+    for record in sorted(records):
         made = tomllib.loads(record.read_text())
         if record.stem != "steady" and not record.stem.startswith("speed-"):
             continue
@@ -110,21 +119,45 @@ def steady_table(folder):
 # ---- all -------------------------------------------------------------------------------------------------------------------
 
 def collect(runs, folder):
-    """Add complete runs to a folder of collected ones, and write its means, scatter and table of steady shear anew."""
-    changed = {}
-    for run in runs:
-        table = collected(run, folder)
-        if run.complete and not table.exists():
-            write(table, thinned(read(run.table)))
-            changed[table.parent, run.table.stem] = run
-    for (place, _), run in changed.items():
-        files = sorted(place.glob(f"{run.table.stem}_s*.csv"), key=lambda file: int(file.stem.rpartition("_s")[2]))
-        seeds = [int(file.stem.rpartition("_s")[2]) for file in files]
-        (place / f"{run.table.stem}.toml").write_text(run.record.read_text().replace(f"seed = {run.seed}\n", f"seeds = {seeds}\n"))
-        for name, columns in zip(("mean", "scatter"), over_seeds([read(file) for file in files])):
-            write(place / f"{run.table.stem}_{name}.csv", columns)
-    if changed:
-        write(folder / "steady.csv", steady_table(folder))
+    """Add complete runs to a folder of collected ones, and write its means, scatter and table of steady shear anew.
+
+    Parameters
+    ----------
+    runs : iterable of Run
+    folder : Path
+
+    Raises
+    ------
+    ValueError
+        If a run was made with other settings than the collected ones of its programme; nothing is collected then.
+    """
+    tables = {collected(run, folder): run for run in runs if run.complete}
+    new = {table: run for table, run in tables.items() if not table.exists()}
+    records = {}
+    for table, run in new.items():
+        record = table.with_name(f"{run.table.stem}.toml")
+        records.setdefault(record, [record] if record.exists() else []).append(run.record)
+    mixed = [", ".join(map(str, made)) for made in records.values() if len({_settings(file) for file in made}) > 1]
+    if mixed:
+        raise ValueError("runs of one programme may differ in their seeds only:\n  " + "\n  ".join(mixed))
+    for table, run in new.items():
+        write(table, thinned(read(run.table)))
+    for record, made in records.items():
+        name = record.stem
+        seeds = sorted(int(file.stem.rpartition("_s")[2]) for file in record.parent.glob(f"{name}_s*[0-9].csv"))
+        record.write_text(SEEDS.sub(f"seeds = {seeds}", made[0].read_text()))
+        columns = over_seeds([read(record.with_name(f"{name}_s{seed}.csv")) for seed in seeds])
+        for kind, means_or_scatter in zip(("mean", "scatter"), columns):
+            write(record.with_name(f"{name}_{kind}.csv"), means_or_scatter)
+    for contact in ("", "hertzian_"):
+        steady = steady_table(folder.glob(f"{contact}mu*/*.toml"))
+        if new and steady:
+            write(folder / f"{contact}steady.csv", steady)
+
+
+def _settings(record):
+    """What a run was made with, without its seed."""
+    return SEEDS.sub("", record.read_text())
 
 
 def main():
@@ -137,4 +170,7 @@ def main():
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except ValueError as error:
+        sys.exit(f"collect.py: {error}")
