@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from ensemble import COLLECTED, SETTINGS, collected, planned
 
-ROWS = 120                  # of a step in a thinned table, at most
+ROWS = 75                   # of a step in a thinned table, at most
 DENSITY = 6 / math.pi       # of the spheres
 SETTLING = 0.25             # part of a step of steady shear that does not count, since it has just begun
 SEEDS = re.compile(r"(?m)^seeds? = .*$")        # in the file that says how a run was made
