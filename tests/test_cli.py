@@ -14,6 +14,8 @@ from granumat import cli, driver, examples, plotting, summaries
 from granumat.paths import read_path_file
 from test_path_files import EXAMPLE
 
+pytestmark = pytest.mark.release_only
+
 ROOT = Path(__file__).parents[1]
 FAULTY = EXAMPLE.replace("mu = 0.5", "mu = 5").replace("phi = 0.60", "phi = 60")
 

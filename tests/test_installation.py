@@ -18,6 +18,8 @@ import granumat
 from granumat.installed import FILES
 from support.umat_host import BUILD
 
+pytestmark = pytest.mark.release_only
+
 ROOT = Path(__file__).parents[1]
 IN_BUILD = (BUILD / "CMakeCache.txt").exists()
 SOURCES = ("CMakeLists.txt", "cmake", "demos", "fortran", "python", "install-packages.sh")

@@ -18,6 +18,8 @@ from granumat.paths import read_path_file
 from granumat.quantities import Quantity
 from granumat.runs import Result, Runs
 
+pytestmark = pytest.mark.release_only
+
 TIMES = np.linspace(0, 1, 5)
 
 

@@ -25,6 +25,8 @@ from support.ranks import ENVIRONMENT, on_ranks
 from support.scenes import BOX, read_table, replaced, written
 from support.xdmf import records
 
+pytestmark = pytest.mark.release_only
+
 SCENE = BOX + """
 [output]
 every = 2
