@@ -25,6 +25,8 @@ DAMPING = 0.22562 * math.sqrt(2.0)      # gamma_n for a restitution of 0.7 (2.1)
 
 LOOSE = 0.45                # volume fraction from which packings are compressed
 PACKING_RATE = 1e-4         # largest rate of compression of lengths
+DRAG = 0.002                # force over velocity, in isotropic compression
+TEMPERATURE = 1e-4          # of frictionless spheres in motion: they overlap by about 0.01 when they collide
 HELD = {"volume": {}, "pressure": dict.fromkeys("xyz", "pressure/mean"), "normal-stresses": dict.fromkeys("xyz", "pressure"),
         "normal-load": {"z": "pressure"}}               # control: what LAMMPS holds along each axis
 AXES = ("xx", "yy", "zz", "xy", "xz", "yz")
@@ -124,7 +126,7 @@ class Sample:
             sample.lmp.commands_string(f"""
                 pair_style {STYLE["hookean"]} 1.0 0.0 0.0 0.0 0.0 1
                 pair_coeff * *
-                velocity all create 1e-4 {seed + 2}
+                velocity all create {TEMPERATURE} {seed + 2}
                 fix move all nve/sphere
                 timestep {TIMESTEP["hookean"]}
                 run {round(thermal / TIMESTEP["hookean"])}
@@ -188,7 +190,7 @@ class Sample:
         scale = (self.phi / phi) ** (1 / 3)
         steps = math.ceil(abs(math.log(scale)) / PACKING_RATE / TIMESTEP[self.contact])
         self.lmp.commands_string(f"""
-            fix drag all viscous 0.002
+            fix drag all viscous {DRAG}
             fix shape all deform 1 x scale {scale} y scale {scale} z scale {scale} remap x
             run {steps}
             unfix shape
@@ -202,7 +204,7 @@ class Sample:
     def press(self, pressure, time):
         """Hold all normal stresses at an isotropic pressure for a time, as often as it takes to reach it within a hundredth."""
         self._hold(dict.fromkeys("xyz", "pressure"), dict.fromkeys("xyz", pressure), f"remap x max/rate {PACKING_RATE}")
-        self.lmp.command("fix drag all viscous 0.002")
+        self.lmp.command(f"fix drag all viscous {DRAG}")
         reached = False
         while not reached:
             self.lmp.command(f"run {round(time / TIMESTEP[self.contact])}")
