@@ -23,7 +23,7 @@ DEM, COLLECTED = ROOT / "demos" / "dem", ROOT / "demos" / "data" / "ensemble"
 sys.path.insert(0, str(DEM))
 import collect  # noqa: E402
 import ensemble  # noqa: E402
-import run  # noqa: E402
+import shear_run as run  # noqa: E402
 
 sys.path.remove(str(DEM))
 
@@ -267,7 +267,7 @@ def small(python, tmp_path_factory):
     """A small ensemble: its folder, its tables by name, what stood in the first when it was killed, twice, and the command."""
     folder = tmp_path_factory.mktemp("dem")
     (folder / "small.toml").write_text(SMALL)
-    program = f"import sys; sys.path.insert(0, {str(DEM)!r}); import ensemble, run; run.CHECKPOINT = 0; ensemble.main()"
+    program = f"import sys; sys.path.insert(0, {str(DEM)!r}); import ensemble, shear_run; shear_run.CHECKPOINT = 0; ensemble.main()"
     command = [python, "-c", program, folder / "runs", "--settings", folder / "small.toml", "--collected", folder]
     table, killed = folder / "runs" / "mu0.5_phi0.600_s1" / "steady.csv", []
     for rows in (10, 30):

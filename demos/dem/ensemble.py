@@ -12,7 +12,7 @@ import time
 import tomllib
 from pathlib import Path
 
-from run import Run
+from shear_run import Run
 
 SETTINGS = Path(__file__).with_name("ensemble.toml")
 COLLECTED = Path(__file__).parents[1] / "data" / "ensemble"

