@@ -10,8 +10,6 @@ ENVIRONMENT = os.environ | {
     # Open MPI 4 and 5: as root, with more ranks than cores, which then take turns. MPICH asks for none of this.
     "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1", "OMPI_MCA_mpi_yield_when_idle": "1",
     "OMPI_MCA_rmaps_base_oversubscribe": "1", "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
-    # Open MPI kills ranks that go on for a second after SIGTERM; a busy machine needs longer to end an increment.
-    "OMPI_MCA_odls_base_sigkill_timeout": "60", "PRTE_MCA_odls_base_sigkill_timeout": "60",
 }
 
 
