@@ -374,7 +374,7 @@ def test_a_run_that_is_killed_in_any_way_is_gone_on_with_to_the_same_end(tmp_pat
         came = read_table(directory / "out/reactions.csv")["t"][-1]
         if "SIG" in way and (not ranks or "has ended" in words):     # Open MPI leaves its ranks one second to end an increment
             assert f"has ended the run at t = {came:g}" in words and "--resume goes on from there" in words, words
-        end = time.monotonic() + 20                              # ranks outlive an mpirun that was killed
+        end = time.monotonic() + 120                             # ranks outlive an mpirun that was killed
         while time.monotonic() < end:
             with started(directory, ranks, "--resume") as again:
                 words = again.communicate()[1]
