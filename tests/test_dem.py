@@ -126,6 +126,7 @@ def test_collected_runs_stay_and_are_joined_only_by_runs_made_like_them(tmp_path
     folder = tmp_path / "data"
     place = folder / "mu0.5_phi0.600"
     collect.collect([made(tmp_path, 1)], folder)
+    assert not list(place.glob("*_mean.csv")) and not list(place.glob("*_scatter.csv"))         # of one seed nobody knows it
     collect.collect([made(tmp_path, 3)], folder)
     assert collect.read(place / "reversal_mean.csv")["p"] == pytest.approx(2)
     assert collect.read(place / "reversal_scatter.csv")["p"] == pytest.approx(np.sqrt(2), rel=1e-4)
@@ -137,7 +138,7 @@ def test_collected_runs_stay_and_are_joined_only_by_runs_made_like_them(tmp_path
 
 # ---- collected data --------------------------------------------------------------------------------------------------------
 
-SINGLE, MEANS = sorted(COLLECTED.glob("*/*_s*[0-9].csv")), sorted(COLLECTED.glob("*/*_mean.csv"))
+SINGLE, RECORDS = sorted(COLLECTED.glob("*/*_s*[0-9].csv")), sorted(COLLECTED.glob("*/*.toml"))
 
 
 def named(tables):
@@ -167,11 +168,13 @@ def test_collected_tables_agree_with_themselves(table):
             assert data[f"sigma_{axis}"][1:] == pytest.approx(stress, rel=0.05), axis
 
 
-@pytest.mark.parametrize("mean", named(MEANS))
-def test_means_and_scatter_are_those_of_all_collected_seeds(mean):
-    name = mean.stem.rpartition("_")[0]
-    again = collect.over_seeds([collect.read(file) for file in mean.parent.glob(f"{name}_s*[0-9].csv")])
-    for columns, file in zip(again, (mean, mean.with_name(f"{name}_scatter.csv"))):
+@pytest.mark.parametrize("record", named(RECORDS))
+def test_means_and_scatter_are_those_of_all_collected_seeds(record):
+    seeds = [collect.read(file) for file in record.parent.glob(f"{record.stem}_s*[0-9].csv")]
+    files = [record.with_name(f"{record.stem}_{kind}.csv") for kind in ("mean", "scatter")]
+    assert len(seeds) == len(tomllib.loads(record.read_text())["seeds"])
+    assert [file.exists() for file in files] == [len(seeds) > 1] * 2
+    for columns, file in zip(collect.over_seeds(seeds) if len(seeds) > 1 else (), files):
         for column, values in collect.read(file).items():
             assert values == pytest.approx(columns[column], rel=2e-5, abs=1e-8), column
 
@@ -350,7 +353,7 @@ def test_collected_runs_are_not_made_again(small, tmp_path):
     runs = ensemble.planned(folder / "runs", tomllib.loads(SMALL))
     collect.collect(runs.values(), tmp_path)
     assert all(ensemble.collected(one, tmp_path).exists() for one in runs.values())
-    table = collect.read(tmp_path / "mu0.5_phi0.600" / "reversal_mean.csv")
+    table = collect.read(tmp_path / "mu0.5_phi0.600" / "reversal_s1.csv")
     assert table["p"] == pytest.approx(found["reversal"]["p"], rel=1e-4)
     steady = collect.read(tmp_path / "steady.csv")
     assert list(steady["rate"]) == [6e-4, 18e-4] and list(steady["seeds"]) == [1, 1]

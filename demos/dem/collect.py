@@ -44,12 +44,12 @@ def thinned(columns):
 
 
 def over_seeds(tables):
-    """Means of tables over seeds, and their standard deviations (of one seed: zero).
+    """Means of tables over seeds, and their standard deviations.
 
     Parameters
     ----------
     tables : list of dict of str to array
-        With the same steps and strains.
+        Two or more, with the same steps and strains.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def over_seeds(tables):
     """
     means = {name: np.mean([table[name] for table in tables], axis=0) for name in tables[0]}
     path = ("step", "gamma", "gamma_total")
-    scatter = {name: means[name] if name in path else np.std([table[name] for table in tables], axis=0, ddof=len(tables) > 1)
+    scatter = {name: means[name] if name in path else np.std([table[name] for table in tables], axis=0, ddof=1)
                for name in means}
     return means, scatter
 
@@ -146,9 +146,10 @@ def collect(runs, folder):
         name = record.stem
         seeds = sorted(int(file.stem.rpartition("_s")[2]) for file in record.parent.glob(f"{name}_s*[0-9].csv"))
         record.write_text(SEEDS.sub(f"seeds = {seeds}", made[0].read_text()))
-        columns = over_seeds([read(record.with_name(f"{name}_s{seed}.csv")) for seed in seeds])
-        for kind, means_or_scatter in zip(("mean", "scatter"), columns):
-            write(record.with_name(f"{name}_{kind}.csv"), means_or_scatter)
+        if len(seeds) > 1:                                       # one seed is its own mean, and its scatter is not known
+            columns = over_seeds([read(record.with_name(f"{name}_s{seed}.csv")) for seed in seeds])
+            for kind, means_or_scatter in zip(("mean", "scatter"), columns):
+                write(record.with_name(f"{name}_{kind}.csv"), means_or_scatter)
     for contact in ("", "hertzian_"):
         steady = steady_table(folder.glob(f"{contact}mu*/*.toml"))
         if new and steady:
