@@ -171,13 +171,16 @@ def run_point(options: argparse.Namespace) -> dict[str, Any]:
 def run_solve(options: argparse.Namespace) -> dict[str, Any]:
     """Run `granumat solve`; the first rank speaks for all."""
     from .fem import scene
-    problem, written = _on_all_ranks(options, lambda: scene.solve(
-        options.scene, options.out, options.resume, options.overwrite, progress=sys.stderr))
+
+    def solve() -> Any:
+        asked = scene.read_scene(options.scene).quantities if options.json else []       # before a run in which the file may change
+        return asked, *scene.solve(options.scene, options.out, options.resume, options.overwrite, progress=sys.stderr)
+    asked, problem, written = _on_all_ranks(options, solve)
     if options.quiet:
         return {}
     print(f"t = {problem.t:g} after {problem.increments} increments")
     _say_written(written)
-    values = summaries.of_quantities(options.out / quantities.QUANTITIES_FILE, scene.read_scene(options.scene).quantities)
+    values = summaries.of_quantities(options.out / quantities.QUANTITIES_FILE, asked)
     return {"files": written, "t": problem.t, "increments": problem.increments, "quantities": values}
 
 
