@@ -18,7 +18,7 @@ module granumat_umat
   use granumat_update, only: update
   implicit none (type, external)
   private
-  public :: advance, speak
+  public :: advance, speak, P_ORDER, ORDER_KRATOS
 
   ! What each number of PROPS and STATEV is. docs/umat.md and the decks repeat this table, a test compares them.
   integer, parameter :: P_MU = 1                !! interparticle friction coefficient, 0 to 1

@@ -4,15 +4,14 @@
 !! first call with its STVAR0 still 0, from the stress at hand or from the parameters, as in the UMAT.
 module granumat_user_mod
   use granumat_kinds, only: dp
-  use granumat_umat, only: N_PROPS, N_STATEV, advance, speak
+  use granumat_umat, only: N_PROPS, N_STATEV, ORDER_KRATOS, P_ORDER, advance, speak
   use granumat_status, only: OK
   implicit none (type, external)
   private
-  public :: evaluate, written
+  public :: entry_of, evaluate, written
 
   ! Parameters are the UMAT's PROPS without those that describe a host: `spin`, which is none, and `order`.
   integer, parameter, public :: PARAMETERS(8) = [1, 2, 3, 4, 5, 6, 7, 9]
-  integer, parameter :: P_ORDER = 10
 
   integer, parameter, public :: INITIALISE = 1, STRESS = 2, TANGENT = 3, COUNT_STATES = 4, ATTRIBUTES = 5, ELASTIC = 6    ! IDTASK
   ! Of water over that of the grains' skeleton, in hosts that take water's from here: it makes Poisson's ratio about 0.495.
@@ -36,7 +35,7 @@ contains
 
     given = 0
     given(PARAMETERS) = props
-    given(P_ORDER) = 1
+    given(P_ORDER) = ORDER_KRATOS
     sig = sig0
     stvar = stvar0
     call advance(given, deps, stress=sig, statev=stvar, ddsdde=D, status=status)
@@ -50,6 +49,15 @@ contains
     character(len=:), allocatable :: name
     name = char(len_trim(text)) // trim(text)
   end function written
+
+  !> One of several texts, blank where there is none of this number.
+  pure function entry_of(texts, number) result(name)
+    character(len=*), intent(in) :: texts(:)
+    integer, intent(in) :: number
+    character(len=:), allocatable :: name
+    name = written("")
+    if (number >= 1 .and. number <= size(texts)) name = written(texts(number))
+  end function entry_of
 
 end module granumat_user_mod
 
@@ -117,22 +125,20 @@ end subroutine getparamcount
 
 subroutine getparamname(imod, iparam, name)
   use granumat_umat, only: PROPERTIES
-  use granumat_user_mod, only: PARAMETERS, written
+  use granumat_user_mod, only: PARAMETERS, entry_of
   implicit none (type, external)
   integer, intent(in) :: imod, iparam
   character(len=*), intent(out) :: name
-  name = written("")
-  if (iparam >= 1 .and. iparam <= size(PARAMETERS)) name = written(PROPERTIES(PARAMETERS(iparam))%name)
+  name = entry_of(PROPERTIES(PARAMETERS)%name, iparam)
 end subroutine getparamname
 
 subroutine getparamunit(imod, iparam, unit)
   use granumat_umat, only: PROPERTIES
-  use granumat_user_mod, only: PARAMETERS, written
+  use granumat_user_mod, only: PARAMETERS, entry_of
   implicit none (type, external)
   integer, intent(in) :: imod, iparam
   character(len=*), intent(out) :: unit
-  unit = written("")
-  if (iparam >= 1 .and. iparam <= size(PARAMETERS)) unit = written(PROPERTIES(PARAMETERS(iparam))%unit)
+  unit = entry_of(PROPERTIES(PARAMETERS)%unit, iparam)
 end subroutine getparamunit
 
 subroutine getstatevarcount(imod, number)
@@ -144,12 +150,11 @@ subroutine getstatevarcount(imod, number)
 end subroutine getstatevarcount
 
 subroutine getstatevarname(imod, ivar, name)
-  use granumat_user_mod, only: STATES, written
+  use granumat_user_mod, only: STATES, entry_of
   implicit none (type, external)
   integer, intent(in) :: imod, ivar
   character(len=*), intent(out) :: name
-  name = written("")
-  if (ivar >= 1 .and. ivar <= size(STATES)) name = written(STATES(ivar))
+  name = entry_of(STATES, ivar)
 end subroutine getstatevarname
 
 subroutine getstatevarunit(imod, ivar, unit)
