@@ -50,3 +50,7 @@ class UnmetConditionWarning(UserWarning):
 
 class ConstrainedDeformationWarning(UserWarning):
     """The volume changes about as fast as the shape, but the paper's law is meant for abs(tr D^) << 1."""
+
+
+class RepairedDataWarning(UserWarning):
+    """Measured data were not as they should be, and could be used all the same."""
