@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 from . import __version__, driver, examples, installed, quantities, summaries
-from .checks import choose, refuse
+from .checks import choose, refuse, repetitions
 from .completion import SHELLS, completion_script
 from .errors import GranumatError, InterruptedRunError
 from .files import clear, locked, replacing
+from .grains import KEYS
 from .paths import read_path_file
 from .studies.cases import CASES
 
@@ -84,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
         added.set_defaults(run=run)
         if run not in (run_bench, run_check, run_completion, run_example, run_umat):
             added.add_argument("--out", type=Path, required=True, help="directory for what is written")
-        if run in (run_point, run_solve, run_ladder, run_check):
+        if run in (run_point, run_solve, run_ladder, run_check, run_compare):
             added.add_argument("--json", action="store_true", help="print the result, or the error, as JSON instead of words")
         return added
 
@@ -103,6 +104,13 @@ def _parser() -> argparse.ArgumentParser:
     ladder.add_argument("--budget", type=int, help="most runs that there may be")
     command("check", run_check, "say everything that is wrong with a path or scene file, and run nothing").add_argument(
         "file", type=Path, help="the path or scene, a TOML file")
+    compare = command("compare", run_compare, "set the law beside measured histories of simple shear, and score it")
+    compare.add_argument("data", type=Path, nargs="+", metavar="DATA", help="tables of the histories, CSV files; _s<number>.csv "
+                         "are seeds of one run")
+    compare.add_argument("--material", type=Path, action="append", default=[], metavar="FILE",
+                         help="a TOML file whose [material] is compared beside the printed law; can be given several times")
+    for name, key in KEYS.items():
+        compare.add_argument(f"--{name}", type=key.kind, help=f"of all runs: {key.words}; {key.must_be}")
     example = command("example", run_example, "print a path or scene file to start from; without a name, list them")
     example.add_argument("name", nargs="?", help="of the example")
     example.set_defaults(completes=examples.example_files())
@@ -220,6 +228,21 @@ def run_check(options: argparse.Namespace) -> dict[str, Any]:
     if not options.quiet:
         print(f"{options.file} can be run: {preview.in_words(found)}")
     return found
+
+
+def run_compare(options: argparse.Namespace) -> dict[str, Any]:
+    """Run `granumat compare`: the scores on screen and in a table, and a table and a picture of each run."""
+    from . import grains
+    if _is_idle_rank(options):
+        return {}
+    keys = {name: getattr(options, name) for name in KEYS if getattr(options, name) is not None}
+    refuse("the law cannot be compared", repetitions("name of a file with --material", [file.stem for file in options.material]))
+    comparison = grains.compare(options.data, {file.stem: grains.read_model(file) for file in options.material}, **keys)
+    with locked(options.out):
+        written = comparison.write(options.out)
+    print(comparison)
+    _say_written(written)
+    return {"files": written} | summaries.of_comparison(comparison)
 
 
 def run_example(options: argparse.Namespace) -> None:

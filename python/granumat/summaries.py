@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from .choice import Report
+from .grains import QUANTITIES, Comparison
 from .history import History
 from .quantities import Quantity, read_values
 
@@ -54,6 +55,12 @@ def of_quantities(filename: Path, quantities: Sequence[Quantity]) -> dict[str, A
 
 def _quantities(values: dict[str, tuple[np.ndarray, np.ndarray]]) -> dict[str, Any]:
     return {name: {"t": times, "value": of_times} for name, (times, of_times) in values.items()}
+
+
+def of_comparison(comparison: Comparison) -> dict[str, Any]:
+    """A comparison with measured runs: "scores", the rows of scores.csv by column, NaN where nothing counts."""
+    return {"scores": [{"run": run, "phase": phase, "model": model} | dict(zip(QUANTITIES, scores))
+                       for run, phase, model, scores in comparison.rows()]}
 
 
 def of_report(report: Report) -> dict[str, Any]:

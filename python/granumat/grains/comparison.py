@@ -77,11 +77,11 @@ class Comparison:
 
     def _about(self, number: int) -> list[str]:
         """What is said above a run's scores."""
-        run, yardstick = self.runs[number], self.yardsticks[number]
+        run = self.runs[number]
         held = ", ".join(dict.fromkeys(run.controls))
         start = "its own steady shear" if run.start == "steady" else "the first row"
         lines = [f"{run.name}: mu {run.mu:g}, {run.contact}, phi {run.columns['phi'][0]:.4g}, held: {held}, "
-                 f"{run.seeds} {'seed' if run.seeds == 1 else 'seeds'}, steady p {yardstick.steady_pressure:.4g}; "
+                 f"{run.seeds} {'seed' if run.seeds == 1 else 'seeds'}, steady p {run.steady_pressure:.4g}; "
                  f"the law starts in {start}"]
         return lines + [f"  {model} {predictions[number].message}" for model, predictions in self.predictions.items()
                         if predictions[number].message]
@@ -160,9 +160,11 @@ def compare(runs: Iterable[Run | str | Path], models: Mapping[str, Mapping[str, 
     found = [run for run in given if isinstance(run, Run)]
     if len(found) < len(given) or not given:
         found += read_runs([run for run in given if not isinstance(run, Run)], **keys)
-    faults: list[str] = []
+    beside = dict(models or {})
+    faults = [f"a model cannot have the name {name!r}, which is taken" for name in (PRINTED, SCATTER) if name in beside]
+    every: dict[str, Mapping[str, Any]] = {PRINTED: {}} | beside
     predictions = {name: [attempt(faults, f"{name}, {run.name}: ", _predict, run, options) for run in found]
-                   for name, options in ({PRINTED: {}} | dict(models or {})).items()}
+                   for name, options in every.items()}
     refuse("the law cannot be compared", faults)
     return Comparison([Yardstick.of(run) for run in found],
                       {name: [prediction for prediction in of_runs if prediction] for name, of_runs in predictions.items()})

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,25 +23,40 @@ from ..steps import CONTROLS
 from ..toml import read_toml
 
 STARTS = ("steady", "data")
+STARTS_OF_ENSEMBLE = {"packed": "data", "thermal": "data"}      # isotropic packings
 SIGNS = ("compression", "extension")
-# Words of the ensemble for where a run starts: in the last state of a steady run, a table; in an isotropic packing.
-STARTS_OF_ENSEMBLE = {"packed": "data", "thermal": "data", "steady.csv": "steady"}
 
 
 def _is_positive(value: object) -> bool:
     return is_finite_number(value) and value > 0
 
 
-# Keys: the check of a value, and what it must be in words.
-KEYS: dict[str, tuple[Callable[[Any], bool], str]] = {
-    "mu": (lambda value: is_finite_number(value) and 0 <= value <= 1, "a number from 0 to 1"),
-    "contact": (lambda value: value in CONTACTS, f"one of {', '.join(CONTACTS)}"),
-    "start": (lambda value: value in STARTS or value in STARTS_OF_ENSEMBLE, f"one of {', '.join(STARTS)}"),
-    "control": (lambda value: value in CONTROLS, f"one of {', '.join(CONTROLS)}"),
-    "phi": (lambda value: is_finite_number(value) and 0 < value < 1, "a number in (0, 1)"),
-    "positive": (lambda value: value in SIGNS, f"one of {', '.join(SIGNS)}"),
-    "stiffness": (_is_positive, "k/d in the unit of the stresses, a number above 0"),
-    "skip": (lambda value: value == 0 or _is_positive(value), "a shear strain of at least 0"),
+def _is_start(value: object) -> bool:
+    return isinstance(value, str) and (value in STARTS or value in STARTS_OF_ENSEMBLE or value.endswith(".csv"))
+
+
+class Key(NamedTuple):
+    """What is to be known of a run beside its table."""
+
+    kind: type
+    holds: Callable[[Any], bool]            # whether a value may be given
+    must_be: str
+    words: str
+
+
+KEYS = {
+    "mu": Key(float, lambda value: is_finite_number(value) and 0 <= value <= 1, "a number from 0 to 1",
+              "friction coefficient between the grains"),
+    "contact": Key(str, lambda value: value in CONTACTS, f"one of {', '.join(CONTACTS)}", "contacts of the grains"),
+    "start": Key(str, _is_start, f"one of {', '.join(STARTS)}, or the table of steady shear that comes before, a .csv",
+                 "where the law starts: in its own steady shear, or in the first row of the data"),
+    "control": Key(str, lambda value: value in CONTROLS, f"one of {', '.join(CONTROLS)}", "what is held"),
+    "phi": Key(float, lambda value: is_finite_number(value) and 0 < value < 1, "a number in (0, 1)",
+               "constant volume fraction, where there is no column"),
+    "positive": Key(str, lambda value: value in SIGNS, f"one of {', '.join(SIGNS)}", "sign of the columns sigma_xx ... sigma_yz"),
+    "stiffness": Key(float, _is_positive, "a number above 0", "k/d in the unit of the stresses"),
+    "skip": Key(float, lambda value: value == 0 or _is_positive(value), "a shear strain of at least 0",
+                "accumulated shear strain that is left out at the start"),
 }
 # What files beside tables of the ensemble say too, and a table for what users want to say.
 NOTED = ("script", "lammps", "seed", "seeds", "number", "rate", "normal_stress", "timestep", "tangential_stiffness", "damping",
@@ -50,8 +65,10 @@ NOTED = ("script", "lammps", "seed", "seeds", "number", "rate", "normal_stress",
 STRESSES = tuple(f"sigma_{axis}" for axis in tensors.AXES)
 FABRIC = tuple(f"A_{axis}" for axis in tensors.AXES)
 SYMBOLS = {f"p{axis}": f"sigma_{axis}" for axis in tensors.AXES} | {f"A{axis}": f"A_{axis}" for axis in tensors.AXES}
+PATH = ("gamma", "gamma_total", "phi", "step")             # must be known in every row
 MEASURED = ("p", "stress_ratio", "Z2", "A_xz")             # at least one of these must be known
 COLUMNS = ("step", "gamma", "gamma_total", "phi", "p", "stress_ratio", "Z2", *FABRIC, *STRESSES)
+OF_ALL_RUNS = ("mu", "contact", "phi", "positive", "stiffness")       # keys that hold for the steady shear before a run too
 ENDINGS = re.compile(r"(.+)_(s\d+|mean|scatter)")          # of names of one run's tables: of one seed, of all
 SEED = re.compile(r".+_s\d+")
 
@@ -63,6 +80,7 @@ LARGEST_TRACE = 0.01        # of a fabric that rounding has made
 EQUAL_PRESSURE = 0.01       # difference of p and a third of the trace of the stress, over the largest p
 NEGATIVE_PRESSURE = 0.05    # magnitude of a negative p that counts as noise, over the largest p
 SETTLED = 0.5               # strain after a turn by which shear stress and fabric have the sign of steady shear
+STEADY_STRAIN = 0.1         # over which p decorrelates in steady shear: the least of which a mean says something
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +105,8 @@ class Run:
         Standard deviations between seeds of the same columns; empty for a single one.
     seeds : int
         Number of seeds.
+    steady_pressure : float
+        p in steady shear, which errors of p are relative to; NaN if p was not measured.
     """
 
     name: str
@@ -96,7 +116,8 @@ class Run:
     controls: tuple[str, ...]
     columns: Mapping[str, np.ndarray]
     scatter: Mapping[str, np.ndarray]
-    seeds: int = 1
+    seeds: int
+    steady_pressure: float
 
     def __len__(self) -> int:
         """The number of rows."""
@@ -183,7 +204,7 @@ def read_runs(files: Iterable[str | Path], **keys: Any) -> list[Run]:
     if not groups:
         faults.append("there are no tables: give at least one")
     refuse("the data cannot be read", faults)
-    runs = [attempt(faults, "", _read_run, run, tables, keys) for run, tables in groups.items()]
+    runs = [_read_run(run, tables, keys, faults) for run, tables in groups.items()]
     refuse("the data cannot be read", faults)
     return [replace(run, name=name) for run, name in zip(runs, _short_names(list(groups))) if run]
 
@@ -201,46 +222,81 @@ def _faults_of_keys(keys: Mapping[str, Any], allowed: Iterable[str]) -> list[str
     for name, value in keys.items():
         if name not in allowed:
             choose("unknown key", name, tuple(allowed), faults)
-        elif name in KEYS and not KEYS[name][0](value):
-            faults.append(f"{name} = {value!r}: must be {KEYS[name][1]}")
+        elif name in KEYS and not KEYS[name].holds(value):
+            faults.append(f"{name} = {value!r}: must be {KEYS[name].must_be}")
     return faults
 
 
-def _read_run(name: Path, tables: Sequence[Path], given: Mapping[str, Any]) -> Run:
-    """A run from the tables of its seeds and the file beside them; ValueError names every fault."""
+def _read_run(name: Path, tables: Sequence[Path], given: Mapping[str, Any], faults: list[str]) -> Run | None:
+    """A run from the tables of its seeds and the file beside them; None, and its faults, if it has some."""
+    known = len(faults)
     beside = name.with_name(name.name + ".toml")
-    said = read_toml(beside) if beside.exists() else {}
-    faults = [f"{beside}: {fault}" for fault in _faults_of_keys(said, (*KEYS, *NOTED))]
-    keys = said | given
-    start = keys.get("start", "steady")
-    keys["start"] = STARTS_OF_ENSEMBLE.get(start, start) if isinstance(start, str) else start
+    said = attempt(faults, "", read_toml, beside) if beside.exists() else {}
+    faults += [f"{beside}: {fault}" for fault in _faults_of_keys(said or {}, (*KEYS, *NOTED))]
+    keys = {**(said or {}), **given}
+    before = name.parent / str(keys.get("start", "steady"))
+    keys["start"] = "steady" if before.suffix == ".csv" else STARTS_OF_ENSEMBLE.get(before.name, before.name)
     if "mu" not in keys:
-        faults.append(f"{tables[0]}: mu, the friction coefficient between the grains, is not known: give it as a key, or in {beside}")
-    refuse("keys", faults)
-    seeds = [attempt(faults, f"{table}: ", _read_table, table, keys) for table in tables]
-    refuse("tables", faults)
-    columns = [seed for seed in seeds if seed is not None]
-    _check_seeds(tables, columns)
-    means = {name: np.mean([seed[name] for seed in columns], axis=0) for name in columns[0]}
-    derived = [with_ratios(seed) for seed in columns]
-    means = with_ratios(means)
-    several = len(columns) > 1
-    scatter = {name: np.std([seed[name] for seed in derived], axis=0, ddof=1) for name in means} if several else {}
-    controls = attempt(faults, f"{tables[0]}: ", _controls, means, keys)
-    refuse("path", faults)
-    assert controls is not None
-    return Run(name.name, float(keys["mu"]), keys.get("contact", "hookean"), keys["start"], controls, means, scatter, len(columns))
+        faults.append(f"{tables[0]}: mu, the {KEYS['mu'].words}, is not known: give the key mu, or write it into {beside}")
+    if faults[known:]:
+        keys = {key: value for key, value in keys.items() if key in KEYS and KEYS[key].holds(value)}
+    seeds = [_read_table(table, keys, faults) for table in tables]
+    if len(faults) == known:
+        faults += _faults_of_seeds(tables, seeds)
+    if len(faults) > known:
+        return None
+    means = with_ratios({name: np.mean([seed[name] for seed in seeds], axis=0) for name in seeds[0]})
+    each = [with_ratios(seed) for seed in seeds]
+    scatter = {name: np.std([seed[name] for seed in each], axis=0, ddof=1) for name in means} if len(seeds) > 1 else {}
+    controls = _controls(f"{tables[0]}: ", means, keys, faults)
+    p = _last_pressure(before, given, faults) if before.suffix == ".csv" else np.nan
+    return Run(name.name, float(keys["mu"]), keys.get("contact", "hookean"), keys["start"], controls, means, scatter, len(seeds),
+               _steady_pressure(means, keys["start"], p))
 
 
-def _check_seeds(tables: Sequence[Path], seeds: Sequence[Mapping[str, np.ndarray]]) -> None:
-    """Raises ValueError where seeds of one run do not have the same columns and strains."""
+def _last_pressure(table: Path, given: Mapping[str, Any], faults: list[str]) -> float:
+    """The mean p over the last SETTLED of strain of a run of steady shear that others start in; NaN if it is not there."""
+    seeds = sorted(path for path in table.parent.glob(f"{table.stem}_s*.csv") if SEED.fullmatch(path.stem))
+    tables = [table] if table.exists() else seeds
+    keys = {name: given[name] for name in OF_ALL_RUNS if name in given}
+    run = _read_run(table.with_suffix(""), tables, keys, faults) if tables else None
+    if run is None:
+        return np.nan
+    total = run.columns["gamma_total"]
+    return _mean_pressure(run.columns, total > total[-1] - SETTLED)
+
+
+def _steady_pressure(columns: Mapping[str, np.ndarray], start: str, before: float) -> float:
+    """p in steady shear: before the run; else in its steady rows; else in its first row, or of its settled rows, or of all."""
+    since = _since_turn(np.diff(columns["gamma"]), start)
+    total = columns["gamma_total"]
+    if "p" not in columns or not np.isnan(before):
+        return before
+    steady = np.isinf(since) if start == "steady" else since > SETTLED
+    if start == "steady" and np.ptp(total[steady]) < STEADY_STRAIN and not np.isnan(columns["p"][0]):
+        return float(columns["p"][0])
+    return _mean_pressure(columns, steady if steady.any() else np.full(len(total), True))
+
+
+def _mean_pressure(columns: Mapping[str, np.ndarray], rows: np.ndarray) -> float:
+    """The mean of p in rows, each with the strain of its increment; NaN where it is not known there."""
+    strain = np.insert(np.abs(np.diff(columns["gamma"])), 0, 0)
+    p = columns.get("p", np.full(len(strain), np.nan))
+    rows = rows & ~np.isnan(p)
+    return float(np.average(p[rows], weights=strain[rows])) if strain[rows].any() else np.nan
+
+
+def _faults_of_seeds(tables: Sequence[Path], seeds: Sequence[Mapping[str, np.ndarray]]) -> list[str]:
+    """Seeds of one run that do not have the same columns and strains."""
     faults = []
     for table, seed in zip(tables[1:], seeds[1:]):
         if list(seed) != list(seeds[0]):
-            faults.append(f"{table}: has the columns {', '.join(seed)}, but {tables[0].name} has {', '.join(seeds[0])}")
+            faults.append(f"{table}: has the columns {', '.join(seed)}, but {tables[0].name}, another seed of the run, has "
+                          f"{', '.join(seeds[0])}")
         elif seed["gamma"].shape != seeds[0]["gamma"].shape or abs(seed["gamma"] - seeds[0]["gamma"]).max() > EQUAL_STRAIN:
-            faults.append(f"{table}: has other strains gamma than {tables[0].name}: seeds of one run must have the same rows")
-    refuse("seeds of one run must be alike", faults)
+            faults.append(f"{table}: has other strains gamma than {tables[0].name}, another seed of the run: must be alike row by "
+                          "row; runs of different strains must not differ in the ending _s<number> only")
+    return faults
 
 
 def with_ratios(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -249,9 +305,8 @@ def with_ratios(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     N1 = sigma_xx - sigma_zz, N2 = sigma_zz - sigma_yy. Ratios are 0 where p is 0.
     """
     found = dict(columns)
-    normal = [columns.get(f"sigma_{axis}") for axis in ("xx", "yy", "zz")]
-    if all(column is not None for column in normal):
-        xx, yy, zz = normal
+    if all(name in columns for name in STRESSES[:3]):
+        xx, yy, zz = (columns[name] for name in STRESSES[:3])
         found["p"] = (xx + yy + zz) / 3
         found |= {"N1/p": _ratio(xx - zz, found["p"]), "N2/p": _ratio(zz - yy, found["p"])}
     if "p" in found and "sigma_xz" in found:
@@ -265,38 +320,48 @@ def _ratio(numerator: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 # ---- one table -----------------------------------------------------------------------------------------------------------
 
-def _read_table(filename: Path, keys: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Columns of a table in order, in the law's signs and units; ValueError names every fault."""
-    names, table = read_lines(filename)
-    names = [column_name(SYMBOLS.get(name, name)) for name in names]
-    faults = [f"names the column {name} twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+def _read_table(filename: Path, keys: Mapping[str, Any], faults: list[str]) -> dict[str, np.ndarray]:
+    """Columns of a table in order, in the law's signs and units; its faults, if it has some, are added."""
+    found: list[str] = []
+    names, table = attempt(faults, "", read_lines, filename) or ([], np.zeros((0, 0)))
     if table.shape[1] != len(names):
-        raise ValueError(f"has {len(names)} names, but {table.shape[1]} numbers a row")
-    columns = {name: column for name, column in zip(names, table.T) if name in COLUMNS}
-    if "gamma" not in columns:
-        faults.append(f"the column gamma, the shear strain, is missing: the table has {', '.join(names)}")
-    if "phi" not in columns and "phi" in keys:
-        columns["phi"] = np.full(len(table), float(keys["phi"]))
-    elif "phi" not in columns:
-        faults.append("the column phi is missing, and no key phi says the constant volume fraction")
-    known = with_ratios(columns)
-    if not any(name in known for name in MEASURED):
-        faults.append(f"has nothing to compare: give at least one of {', '.join(MEASURED)}, or the stresses {', '.join(STRESSES)}")
-    if len(table) < 2:
-        faults.append(f"has {len(table)} row: must have a start and at least one row after it")
-    refuse("is no history", faults)
-    columns = _in_order(filename, columns)
-    columns = _from(columns, keys.get("skip", 0.0))
-    columns = _in_units(columns, keys)
-    faults = _faults_of_path(columns) + _faults_of_state(columns)
-    if not faults:
-        faults = _faults_of_signs(with_ratios(columns), keys["start"])
-    refuse("is no history in these units and signs", faults)
+        found.append(f"has {len(names)} names, but {table.shape[1]} numbers a row")
+    elif names:
+        names = [column_name(SYMBOLS.get(name, name)) for name in names]
+        found += [f"names the column {name} twice" for name in dict.fromkeys(names) if names.count(name) > 1]
+        columns = _in_units({name: column for name, column in zip(names, table.T) if name in COLUMNS}, keys)
+        if "phi" not in columns and "phi" in keys:
+            columns["phi"] = np.full(len(table), float(keys["phi"]))
+        found += _faults_of_columns(names, columns) + _faults_of_state(columns)
+        if not any(name in with_ratios(columns) for name in MEASURED):
+            found.append(f"has nothing to compare: give at least one of {', '.join(MEASURED)}, or stresses, {', '.join(STRESSES)}")
+        if "gamma" in columns and len(table) > 1 and np.isfinite([columns[name] for name in PATH if name in columns]).all():
+            columns = attempt(found, "", _from, _in_order(filename, columns), keys.get("skip", 0.0)) or columns
+            found += _faults_of_path(columns)
+        if not found and "start" in keys:
+            found += _faults_of_signs(with_ratios(columns), keys["start"])
+    faults += [f"{filename}: {fault}" for fault in found]
+    if found or not names:
+        return {}
     missing = {name: int(np.isnan(column).sum()) for name, column in columns.items() if np.isnan(column).any()}
     if missing:
         warnings.warn(f"{filename}: rows that are not a number do not count: " + ", ".join(
             f"{count} of {name}" for name, count in missing.items()), RepairedDataWarning, stacklevel=2)
     return columns
+
+
+def _faults_of_columns(names: Sequence[str], columns: Mapping[str, np.ndarray]) -> list[str]:
+    """What is missing of the path, and where it is not a number."""
+    faults = []
+    if "gamma" not in columns:
+        faults.append(f"the column gamma, the shear strain, is missing: the table has {', '.join(names)}")
+    if "phi" not in columns:
+        faults.append("the column phi is missing, and no key phi says the constant volume fraction")
+    rows = len(next(iter(columns.values()), ()))
+    if columns and rows < 2:
+        faults.append(f"has {rows} row: must have a start and at least one row after it")
+    return faults + [f"{name} is not a number {_rows(~np.isfinite(columns[name]))}" for name in PATH
+                     if name in columns and not np.isfinite(columns[name]).all()]
 
 
 def _in_order(filename: Path, columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -343,11 +408,8 @@ def _rows(found: np.ndarray) -> str:
 
 def _faults_of_path(columns: Mapping[str, np.ndarray]) -> list[str]:
     """What is wrong with the strains and volume fractions."""
-    faults = [f"{name} is not a number {_rows(~np.isfinite(columns[name]))}" for name in ("gamma", "gamma_total", "phi", "step")
-              if name in columns and not np.isfinite(columns[name]).all()]
-    if faults:
-        return faults
-    gamma, phi = columns["gamma"], columns["phi"]
+    faults = []
+    gamma, phi = columns["gamma"], columns.get("phi", np.full(1, 0.5))
     increments = np.abs(np.diff(gamma))
     if not increments.any():
         faults.append("gamma does not change: there is no shear")
@@ -356,8 +418,8 @@ def _faults_of_path(columns: Mapping[str, np.ndarray]) -> list[str]:
                       "cent? It must be a strain without a unit")
     apart = np.abs(np.diff(columns["gamma_total"]) - increments) > EQUAL_STRAIN * np.maximum(1, columns["gamma_total"][1:])
     if apart.any():
-        faults.append(f"gamma_total does not grow by the change of gamma {_rows(np.insert(apart, 0, False))}: the rows are not in "
-                      "order, or some at turns are missing")
+        faults.append(f"gamma_total does not grow by the change of gamma, first at gamma = {gamma[1:][apart][0]:.6g}: the rows are "
+                      "not in order, or some at turns are missing")
     elif len(gamma) > 3 and (np.diff(np.sign(np.diff(gamma))) != 0).mean() > 0.5:
         faults.append("gamma turns at more than half of the rows: they are not in order, and gamma_total, by which they could be "
                       "sorted, is missing or of no help")
@@ -410,36 +472,39 @@ def _faults_of_signs(columns: Mapping[str, np.ndarray], start: str) -> list[str]
             and np.nansum((columns[name] * forward)[settled]) * (1 if name == "stress_ratio" else -1) < 0]
 
 
-def _controls(columns: Mapping[str, np.ndarray], keys: Mapping[str, Any]) -> tuple[str, ...]:
-    """What is held in each increment; ValueError where this is not known, or not among the columns."""
-    n = len(columns["gamma"]) - 1
-    steps = keys.get("step", [])
+def _controls(prefix: str, columns: Mapping[str, np.ndarray], keys: Mapping[str, Any], faults: list[str]) -> tuple[str, ...]:
+    """What is held in each increment; faults where this is not known, or not among the columns, are added."""
+    controls = ("volume",) * (len(columns["gamma"]) - 1)
     if "control" in keys:
-        controls = (keys["control"],) * n
-    elif steps and "step" in columns:
-        of_steps = [entry.get("control", "pressure" if "pressure" in entry else "volume")
-                    for entry in steps for _ in range(2 * entry["cycles"] if "cycles" in entry else 1)]
-        numbers = columns["step"][1:].astype(int)
-        if numbers.min() < 1 or numbers.max() > len(of_steps):
-            raise ValueError(f"has steps {numbers.min()} to {numbers.max()}, but {len(of_steps)} are described, cycles as two each")
-        controls = tuple(of_steps[number - 1] for number in numbers)
-    else:
-        controls = ("volume",) * n
-    faults = [f"control = {control!r}: must be one of {', '.join(CONTROLS)}" for control in set(controls) - set(CONTROLS)]
-    refuse("path", faults)
+        controls = (keys["control"],) * len(controls)
+    elif "step" in keys and "step" in columns:
+        controls = attempt(faults, prefix, _controls_of_steps, keys["step"], columns["step"][1:]) or controls
     drift = np.ptp(np.cumsum(np.where(np.array(controls) == "volume", np.diff(columns["phi"]), 0)))
     if drift > CONSTANT_PHI:
-        faults.append(f"phi changes by {drift:.4g} where the volume should be constant; give control, what is held instead: "
-                      f"{', '.join(list(CONTROLS)[1:])}")
-    for control in sorted(set(controls)):
-        faults += [f"{name} is held (control {control}), but is not known {where}" for name in CONTROLS[control][1]
-                   if (where := _unknown(columns.get(name)))]
-    refuse("its path cannot be followed", faults)
+        faults.append(f"{prefix}phi drifts by {drift:.4g} where the volume should be constant; give control, what is held instead, "
+                      f"one of {', '.join(list(CONTROLS)[1:])}")
+    faults += [f"{prefix}{name} is held (control {control}), but is not known {where}" for control in dict.fromkeys(controls)
+               for name in CONTROLS[control][1] if (where := _unknown(columns.get(name)))]
     return controls
+
+
+def _controls_of_steps(steps: Any, numbers: np.ndarray) -> tuple[str, ...]:
+    """What is held in increments, from the numbers of their steps and the tables [[step]] of a run of demos/dem."""
+    if not isinstance(steps, list) or not all(isinstance(entry, dict) for entry in steps):
+        raise ValueError("step: must be tables [[step]]")
+    of_steps = [entry.get("control", "pressure" if "pressure" in entry else "volume")
+                for entry in steps for _ in range(2 * entry["cycles"] if "cycles" in entry else 1)]
+    faults: list[str] = []
+    for control in dict.fromkeys(of_steps):
+        choose("control", control, tuple(CONTROLS), faults)
+    if numbers.min() < 1 or numbers.max() > len(of_steps):
+        faults.append(f"rows are of steps {numbers.min():g} to {numbers.max():g}, there are {len(of_steps)}, of cycles two each")
+    refuse("the tables [[step]] beside it", faults)
+    return tuple(of_steps[int(number) - 1] for number in numbers)
 
 
 def _unknown(column: np.ndarray | None) -> str:
     """Where a column that is needed lacks numbers, in words; empty if nowhere."""
     if column is None:
         return "in any row"
-    return _rows(np.isnan(column)) if np.isnan(column).any() else ""
+    return f"in {np.isnan(column).sum()} rows" if np.isnan(column).any() else ""

@@ -11,7 +11,6 @@ from .scores import QUANTITIES, Yardstick
 
 NORMAL_STRESS_DIFFERENCES = {"N1/p": "$N_1/p$", "N2/p": "$N_2/p$"}
 MEASURED = "0.35"           # grey of what was measured
-PANELS = (2, 4)
 
 
 def run_figure(yardstick: Yardstick, predictions: Mapping[str, Prediction]) -> Figure:
@@ -27,30 +26,29 @@ def run_figure(yardstick: Yardstick, predictions: Mapping[str, Prediction]) -> F
     Returns
     -------
     matplotlib.figure.Figure
-        A panel for each of QUANTITIES that was measured. Points are measured, pale where they do not count; bands are the scatter of
-        the seeds, one standard deviation to each side.
+        A panel for each of QUANTITIES that counts. Points are measured, pale where they do not count; bands are the scatter
+        of the seeds, one standard deviation to each side.
     """
     run = yardstick.run
     gamma = run.columns["gamma_total"]
-    figure = Figure(figsize=(14.0, 6.5), layout="constrained")
+    counted = dict(zip(QUANTITIES, yardstick.measured.T))
+    shown = [name for name in QUANTITIES if not np.isnan(counted[name]).all()]
+    columns = -(-len(shown) // 2)
+    figure = Figure(figsize=(3.7 * columns, 6.5), layout="constrained")
     figure.suptitle(f"{run.name}: $\\mu$ = {run.mu:g}, $\\phi$ = {run.columns['phi'][0]:.4g}")
-    panels = figure.subplots(*PANELS)
-    shown = [name for name in QUANTITIES if name in run.columns]
-    for axes, name in zip(panels.flat, shown):
-        measured, counted = run.columns[name], yardstick.measured[:, QUANTITIES.index(name)]
+    for axes, name in zip(figure.subplots(2, columns, squeeze=False).flat, shown):
+        measured = run.columns[name]
         if run.scatter:
             scatter = run.scatter[name]
             axes.fill_between(gamma, measured - scatter, measured + scatter, color=MEASURED, alpha=0.2, linewidth=0)
         axes.plot(gamma, measured, ".", color=MEASURED, alpha=0.25, markersize=3)
-        axes.plot(gamma, counted, ".", color=MEASURED, markersize=3, label="measured")
+        axes.plot(gamma, counted[name], ".", color=MEASURED, markersize=3, label="measured")
         for model, prediction in predictions.items():
             axes.plot(gamma, prediction.columns[name], linewidth=1.2, label=model)
         axes.set(xlabel=LABELS["gamma_total"], ylabel=(LABELS | NORMAL_STRESS_DIFFERENCES)[name])
-        if np.isnan(counted).all():
-            axes.set_title("prescribed", fontsize="small")
         axes.ticklabel_format(axis="y", useOffset=False)
         axes.grid(linewidth=0.3)
-    panels.flat[0].legend(frameon=False)
-    for axes in panels.flat[len(shown):]:
+    figure.axes[0].legend(frameon=False)
+    for axes in figure.axes[len(shown):]:
         axes.remove()
     return figure

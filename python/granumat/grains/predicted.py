@@ -22,8 +22,8 @@ class Prediction:
     Attributes
     ----------
     columns : dict of str to array (n,)
-        phi, Z2, p, stress_ratio, N1/p, N2/p, A_xx ... A_yz and sigma_xx ... sigma_yz, compression positive, in the run's rows; NaN in
-        rows that the law does not reach.
+        phi, Z2, p, stress_ratio, N1/p, N2/p, A_xx ... A_yz and sigma_xx ... sigma_yz, compression positive, in the run's rows; NaN
+        in rows that the law does not reach.
     message : str
         Why it does not reach the last row; empty if it does.
     """

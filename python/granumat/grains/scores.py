@@ -1,6 +1,5 @@
 """Errors of the law along measured runs, by quantity and by phase of the shear."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,6 @@ LEAST_PRESSURE = {"p": -np.inf, "stress_ratio": 0.2, "Z2": 0.05, "A_xz": 0.05, "
 # What a control prescribes does not count.
 PRESCRIBED: dict[str, tuple[str, ...]] = {
     "volume": ("phi",), "pressure": ("p",), "normal-stresses": ("p", "N1/p", "N2/p"), "normal-load": ()}
-STEADY_STRAIN = 0.1         # of steady rows over which p decorrelates, so that their mean is one of steady shear
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +26,6 @@ class Yardstick:
     Attributes
     ----------
     run : Run
-    steady_pressure : float
-        The run's p in steady shear, in k/d; NaN if p was not measured.
     scales : array (7,)
         Of the QUANTITIES: the steady p for p, kappa of the printed constants for A_xz, 1 for the others.
     measured : array (n, 7)
@@ -41,7 +37,6 @@ class Yardstick:
     """
 
     run: Run
-    steady_pressure: float
     scales: np.ndarray
     measured: np.ndarray
     scatter: np.ndarray
@@ -54,16 +49,15 @@ class Yardstick:
         strain = (np.append(increments, 0) + np.insert(increments, 0, 0)) / 2
         since = run.since_turn
         weights = np.array([strain * ((since > first) & (since <= last)) for first, last in PHASES.values()])
-        steady = _steady_pressure(run, weights)
         unknown = np.full(len(run), np.nan)
         p = run.columns.get("p", unknown)
-        counts = np.array([~(p <= LEAST_PRESSURE[name] * steady) & ~_prescribed(run, name) for name in QUANTITIES]).T
+        counts = np.array([~(p <= LEAST_PRESSURE[name] * run.steady_pressure) & ~_prescribed(run, name) for name in QUANTITIES]).T
         measured, scatter = (np.column_stack([columns.get(name, unknown) for name in QUANTITIES])
                              for columns in (run.columns, run.scatter))
         scales = np.ones(len(QUANTITIES))
-        scales[QUANTITIES.index("p")] = steady
+        scales[QUANTITIES.index("p")] = run.steady_pressure
         scales[QUANTITIES.index("A_xz")] = Material(run.mu, contact=run.contact)["kappa"]
-        return cls(run, steady, scales, np.where(counts, measured, np.nan), np.where(counts, scatter, np.nan), weights)
+        return cls(run, scales, np.where(counts, measured, np.nan), np.where(counts, scatter, np.nan), weights)
 
     def errors(self, prediction: Prediction) -> np.ndarray:
         """Errors (n, 7) of a prediction over the scales: NaN where they do not count, infinite where the law does not reach."""
@@ -80,11 +74,10 @@ class Yardstick:
         return self._mean_squares(self.scatter / self.scales)
 
     def _mean_squares(self, errors: np.ndarray) -> np.ndarray:
-        counts = ~np.isnan(errors)
+        counts, reached = ~np.isnan(errors), ~np.isinf(errors)
         strains = self.weights @ counts
-        with np.errstate(invalid="ignore"):                       # an infinite error where a phase has no strain
-            squares = np.array([np.sum(np.where(counts & (weight[:, None] > 0), errors**2 * weight[:, None], 0), axis=0)
-                                for weight in self.weights])
+        squares = self.weights @ np.where(counts & reached, np.nan_to_num(errors), 0) ** 2
+        squares[self.weights @ ~reached > 0] = np.inf
         return np.sqrt(np.divide(squares, strains, out=np.full(squares.shape, np.nan), where=strains > 0))
 
 
@@ -93,20 +86,8 @@ def _prescribed(run: Run, name: str) -> np.ndarray:
     return np.isin(run.held, [control for control, names in PRESCRIBED.items() if name in names])
 
 
-def _steady_pressure(run: Run, weights: np.ndarray) -> float:
-    """The mean of p in steady shear and long after turns; without enough of these, that of a steady start, or of the whole run."""
-    p = run.columns.get("p", np.full(len(run), np.nan))
-    strain = dict(zip(PHASES, weights))
-    settled = (strain["steady"] + strain["later"]) * ~np.isnan(p)
-    if settled.sum() < STEADY_STRAIN and run.start == "steady" and not np.isnan(p[0]):
-        return float(p[0])
-    if settled.sum() < STEADY_STRAIN:
-        settled = strain["all"] * ~np.isnan(p)
-    return float(np.nansum(settled * np.nan_to_num(p)) / settled.sum()) if settled.any() else np.nan
-
-
-def root_mean_square(scores: Sequence[np.ndarray]) -> np.ndarray:
-    """Scores (5, 7) over several runs, which count alike; NaN where none of them has one."""
-    squares = np.square(np.array(scores))
+def root_mean_square(scores: np.ndarray) -> np.ndarray:
+    """Scores (5, 7) over those runs of (runs, 5, 7) that have one, which count alike; NaN where none has."""
+    squares = np.square(scores)
     counts = (~np.isnan(squares)).sum(axis=0)
     return np.sqrt(np.divide(np.nansum(squares, axis=0), counts, out=np.full(counts.shape, np.nan), where=counts > 0))
