@@ -315,7 +315,8 @@ def with_ratios(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _ratio(numerator: np.ndarray, p: np.ndarray) -> np.ndarray:
-    return np.divide(numerator, p, out=np.zeros_like(p), where=p != 0)
+    with np.errstate(invalid="ignore"):                          # infinite numbers are refused afterwards
+        return np.divide(numerator, p, out=np.zeros_like(p), where=p != 0)
 
 
 # ---- one table -----------------------------------------------------------------------------------------------------------
@@ -380,12 +381,14 @@ def _accumulated(gamma: np.ndarray) -> np.ndarray:
 
 
 def _from(columns: dict[str, np.ndarray], skip: float) -> dict[str, np.ndarray]:
-    """Rows from an accumulated strain on, and this strain from there."""
-    keep = _accumulated(columns["gamma"]) >= skip - EQUAL_STRAIN * max(skip, 1) if skip else slice(None)
-    kept = {name: column[keep] for name, column in columns.items()}
+    """Rows from an accumulated strain on, where shear begins, and the accumulated strain from there."""
+    total = _accumulated(columns["gamma"])
+    first = np.searchsorted(total, skip - EQUAL_STRAIN * max(skip, 1) if skip else 0.0)
+    begins = np.searchsorted(total, total[first], side="right") - 1 if first < len(total) else first
+    kept = {name: column[begins:] for name, column in columns.items()}
     if len(kept["gamma"]) < 2:
-        raise ValueError(f"skip = {skip:g} leaves {len(kept['gamma'])} rows: the accumulated strain ends at "
-                         f"{_accumulated(columns['gamma'])[-1]:.6g}")
+        raise ValueError(f"skip = {skip:g} leaves {len(kept['gamma'])} rows with shear: the accumulated strain ends at "
+                         f"{total[-1]:.6g}")
     if "gamma_total" in kept:
         kept["gamma_total"] = kept["gamma_total"] - kept["gamma_total"][0]
     else:
@@ -479,7 +482,7 @@ def _controls(prefix: str, columns: Mapping[str, np.ndarray], keys: Mapping[str,
         controls = (keys["control"],) * len(controls)
     elif "step" in keys and "step" in columns:
         controls = attempt(faults, prefix, _controls_of_steps, keys["step"], columns["step"][1:]) or controls
-    drift = np.ptp(np.cumsum(np.where(np.array(controls) == "volume", np.diff(columns["phi"]), 0)))
+    drift = np.ptp(np.cumsum(np.where(np.array(("", *controls)) == "volume", np.diff(columns["phi"], prepend=0), 0)))
     if drift > CONSTANT_PHI:
         faults.append(f"{prefix}phi drifts by {drift:.4g} where the volume should be constant; give control, what is held instead, "
                       f"one of {', '.join(list(CONTROLS)[1:])}")

@@ -12,6 +12,7 @@ QUANTITIES = ("p", "stress_ratio", "Z2", "A_xz", "N1/p", "N2/p", "phi")
 # Phases: the shear strain since the last turn above which they begin, and up to which they last.
 PHASES = {"all": (-1.0, np.inf), "steady": (np.finfo(float).max, np.inf), "first 0.1": (-1.0, 0.1), "0.1 to 0.5": (0.1, 0.5),
           "later": (0.5, np.finfo(float).max)}
+ROUNDING = 1e-6             # of strains, at the ends of phases
 # Share of the run's steady p that p must exceed where a quantity counts.
 LEAST_PRESSURE = {"p": -np.inf, "stress_ratio": 0.2, "Z2": 0.05, "A_xz": 0.05, "N1/p": 0.2, "N2/p": 0.2, "phi": -np.inf}
 # What a control prescribes does not count.
@@ -48,7 +49,7 @@ class Yardstick:
         increments = np.abs(np.diff(run.columns["gamma"]))
         strain = (np.append(increments, 0) + np.insert(increments, 0, 0)) / 2
         since = run.since_turn
-        weights = np.array([strain * ((since > first) & (since <= last)) for first, last in PHASES.values()])
+        weights = np.array([strain * ((since > first + ROUNDING) & (since <= last + ROUNDING)) for first, last in PHASES.values()])
         unknown = np.full(len(run), np.nan)
         p = run.columns.get("p", unknown)
         counts = np.array([~(p <= LEAST_PRESSURE[name] * run.steady_pressure) & ~_prescribed(run, name) for name in QUANTITIES]).T
