@@ -3,8 +3,7 @@ are not as they must be are refused or repaired in words."""
 
 import csv
 import json
-import subprocess
-import sys
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,8 @@ import pytest
 from granumat import Material, driver
 from granumat.errors import RepairedDataWarning
 from granumat.files import read_lines, write_table
-from granumat.grains import PHASES, QUANTITIES, Yardstick, compare, predict, read_runs
+from granumat.grains import KEYS, PHASES, QUANTITIES, Yardstick, compare, predict, read_runs
+from test_cli import granumat, undocumented
 
 ROOT = Path(__file__).parents[1]
 LAW = Material(mu=0.3)
@@ -328,10 +328,6 @@ def test_rows_that_the_law_does_not_reach_have_infinite_errors_and_words(tmp_pat
 
 # ---- the command -----------------------------------------------------------------------------------------------------------
 
-def granumat(*arguments, cwd):
-    return subprocess.run([sys.executable, "-m", "granumat", *map(str, arguments)], cwd=cwd, capture_output=True, text=True)
-
-
 def test_the_command_writes_scores_tables_and_pictures(tmp_path):
     seeds(tmp_path, 0.1, -0.1)
     (tmp_path / "mine.toml").write_text('[material]\nclosure = "kinematic"\n')
@@ -350,10 +346,27 @@ def test_the_command_writes_scores_tables_and_pictures(tmp_path):
 def test_the_command_gives_json_and_faults_with_status_2(tmp_path):
     write_table(tmp_path / "run.csv", history(), "%.17g")
     result = granumat("compare", "run.csv", "--mu", 0.3, "--out", "out", "--json", cwd=tmp_path)
-    row = json.loads(result.stdout)["scores"][0]
+    found = json.loads(result.stdout)
+    assert not undocumented([*found, *found["scores"][0].keys() - set(QUANTITIES)], "`compare`")
+    row = found["scores"][0]
     assert (row["run"], row["phase"], row["model"], row["phi"]) == ("run", "all", "printed", None) and row["p"] < ROUND_OFF
     result = granumat("compare", "run.csv", "--mu", 3, "--out", "none", cwd=tmp_path)
     assert result.returncode == 2 and "mu = 3.0: must be" in result.stderr and not (tmp_path / "none").exists()
+
+
+# ---- pages -------------------------------------------------------------------------------------------------------------------
+
+PAGE = (ROOT / "docs/compare.md").read_text()
+
+
+def test_the_page_shows_what_the_command_prints():
+    shown = re.search(r"^```\n(cv_.*?)^```$", PAGE, re.M | re.S)[1]
+    assert shown == f"{compare(sorted((ROOT / 'demos/data').glob('cv_mu0.5_phi0.600_s*.csv')))}\n"
+
+
+def test_the_page_names_every_key_quantity_and_phase():
+    tables = [set(re.findall(r"`([^`]+)`", row)) for row in re.findall(r"^\| (`[^|]+) \|", PAGE, re.M)]
+    assert set().union(*tables) >= {*KEYS, *QUANTITIES, *PHASES}
 
 
 # ---- the data of the repository ------------------------------------------------------------------------------------------
