@@ -37,6 +37,10 @@ def write(file, columns, **keys):
     return file
 
 
+def pressure(columns):
+    return (columns["sigma_xx"] + columns["sigma_yy"] + columns["sigma_zz"]) / 3
+
+
 def scores(files, **keys):
     """Scores of the printed law by phase and quantity, of the first run."""
     found = compare(files, **keys).scores("printed")[0]
@@ -72,11 +76,30 @@ def test_a_history_that_starts_sheared_in_its_first_row_has_no_error(tmp_path):
     assert_no_errors(found, ["phi"])
 
 
-def test_a_start_without_coordination_number_has_that_of_its_pressure(tmp_path):
-    columns = history([driver.shear(0.7, increments=70)], start=LAW.isotropic(0.62, pressure=0.005))
-    run, = read_runs([write(tmp_path / "run.csv", {name: columns[name] for name in ("gamma", "phi", "sigma_xz")} | {
-        "p": (columns["sigma_xx"] + columns["sigma_yy"] + columns["sigma_zz"]) / 3}, start="data")])
-    assert predict(run, LAW).columns["Z2"] == pytest.approx(columns["Z2"], rel=1e-12)
+@pytest.mark.parametrize("contact", ["hookean", "hertzian"])
+def test_a_start_without_coordination_number_has_that_of_its_pressure_and_fabric(tmp_path, contact):
+    law = Material(mu=0.3, contact=contact)
+    columns = history([driver.shear(-0.7, increments=70)], law)
+    run, = read_runs([write(tmp_path / "run.csv", without("Z2")(columns), start="data", contact=contact)])
+    assert predict(run, law).columns["Z2"] == pytest.approx(columns["Z2"], rel=1e-12)
+
+
+def test_rows_before_the_shear_begins_are_left_out(tmp_path):
+    steps = [driver.isotropic_compression(pressure=0.005, increments=5), driver.shear(0.7, "pressure", 70)]
+    columns = history(steps, start=LAW.isotropic(0.62, pressure=0.001))
+    columns["gamma"][:6] = columns["gamma_total"][:6] = 0.0                   # in the driver they grow by 2 abs(D)
+    for name in ("gamma", "gamma_total"):
+        columns[name][6:] = np.arange(1, 71) / 100
+    run, = read_runs([write(tmp_path / "run.csv", columns, start="thermal", control="pressure")])
+    assert len(run) == 71 and run.start == "data"
+    assert np.nanmax(compare([run]).scores("printed")) < driver.TOLERANCE
+
+
+def test_steps_to_a_pressure_hold_it(tmp_path):
+    columns = history([driver.shear(0.3, "pressure", 30)]) | {"step": np.repeat([1, 2], [16, 15])}
+    file = write(tmp_path / "run.csv", columns)
+    file.with_suffix(".toml").write_text('mu = 0.3\n[[step]]\nshear = 0.15\ncontrol = "pressure"\n[[step]]\npressure = 0.01\n')
+    assert set(read_runs([file])[0].controls) == {"pressure"}
 
 
 def test_steps_with_other_controls_are_driven_each_by_its_own(tmp_path):
@@ -101,6 +124,13 @@ def test_steps_with_other_controls_are_driven_each_by_its_own(tmp_path):
 ], ids=["extension", "units", "names", "phi", "others"])
 def test_signs_units_names_and_keys_do_not_matter_once_said(tmp_path, change, keys):
     assert_no_errors(scores([write(tmp_path / "run.csv", change(history()), **keys)]), ["phi"])
+
+
+def test_a_shear_cell_that_has_only_stress_and_volume_is_scored_by_them(tmp_path):
+    columns = history()
+    cell = {name: columns[name] for name in ("gamma", "phi")} | {"p": 7e5 * pressure(columns),
+                                                                "stress_ratio": -columns["sigma_xz"] / pressure(columns)}
+    assert_no_errors(scores([write(tmp_path / "run.csv", cell, stiffness=7e5)]), ["phi", "Z2", "A_xz", "N1/p", "N2/p"])
 
 
 def test_keys_of_a_call_come_before_those_beside_the_table(tmp_path):
@@ -186,14 +216,36 @@ def test_a_table_of_means_or_scatter_stands_for_the_seeds_beside_it(tmp_path):
         assert run.seeds == 2 and run.scatter["Z2"] == pytest.approx(0.3 * np.sqrt(2))
 
 
-def test_errors_of_p_are_relative_to_the_steady_shear_before_the_run(tmp_path):
+def test_errors_of_p_are_relative_to_the_end_of_the_steady_shear_before_the_run(tmp_path):
+    before = history([driver.shear(1.5, increments=150)], start=LAW.isotropic(0.605, pressure=0.02))
     columns = history([driver.shear(-0.3, increments=30)])
-    before = history([driver.shear(0.8, increments=80)])
-    stresses = [name for name in columns if name.startswith("sigma")]
-    write(tmp_path / "before_s7.csv", before | {name: 2 * before[name] for name in stresses})
-    (tmp_path / "before.toml").write_text("mu = 0.3\n")
-    assert read_runs([write(tmp_path / "run.csv", columns, start="before.csv")])[0].steady_pressure == pytest.approx(
-        2 * np.mean([columns[f"sigma_{axis}"][0] for axis in ("xx", "yy", "zz")]))
+    for name, table in (("before_s7", before), ("run", columns)):
+        write(tmp_path / f"{name}.csv", scaled(7.0, "sigma")(table), start="before.csv")
+    (tmp_path / "before.toml").write_text('mu = 0.3\nstart = "packed"\n')
+    assert read_runs([tmp_path / "run.csv"], stiffness=7.0)[0].steady_pressure == pytest.approx(pressure(before)[-50:].mean())
+
+
+def test_without_steady_shear_before_it_errors_of_p_are_relative_to_that_of_the_run(tmp_path):
+    def steady(number, columns, **keys):
+        return read_runs([write(tmp_path / f"run{number}.csv", columns, **keys)])[0].steady_pressure
+    columns = history()
+    assert steady(1, columns) == pytest.approx(pressure(columns)[0])
+    short = history([driver.shear(0.05, increments=5), driver.shear(-1.2, increments=120)])
+    for axis in ("xx", "yy", "zz"):
+        short[f"sigma_{axis}"][0] *= 1.3
+    assert steady(2, short) == pytest.approx(pressure(short)[0])
+    packed = history([driver.shear(1.5, increments=150)], start=LAW.isotropic(0.605, pressure=0.02))
+    assert steady(3, packed, start="data") == pytest.approx(pressure(packed)[51:].mean(), rel=5e-3)
+
+
+def test_scores_of_several_runs_have_their_root_mean_square(tmp_path):
+    for number, shift in enumerate((0.3, 0.1)):
+        columns = history()
+        write(tmp_path / f"run{number}.csv", columns | {"Z2": columns["Z2"] + shift})
+    rows = compare([tmp_path / "run0.csv", tmp_path / "run1.csv"]).rows()
+    assert {model for _, _, model, _ in rows} == {"printed"}                   # there is no scatter
+    assert [of_all[QUANTITIES.index("Z2")] for run, _, _, of_all in rows if run == "all 2 runs"] == pytest.approx(
+        [np.sqrt(0.05)] * len(PHASES), rel=1e-9)
 
 
 # ---- faults ----------------------------------------------------------------------------------------------------------------
@@ -371,11 +423,14 @@ def test_the_page_names_every_key_quantity_and_phase():
 
 # ---- the data of the repository ------------------------------------------------------------------------------------------
 
-def test_printed_constants_miss_the_grains_as_far_as_is_known():
+def test_runs_in_the_repository_have_the_steady_values_that_their_page_says():
     found = compare(sorted((ROOT / "demos/data").glob("cv_*.csv")))
     assert [(run.mu, run.seeds, len(run)) for run in found.runs] == [(0.1, 1, 420), (0.3, 1, 420), (0.5, 2, 600)]
     steady = [run.steady_pressure for run in found.runs]
-    assert steady == pytest.approx([0.0070, 0.0087, 0.0102], abs=6e-5)          # demos/data/README.md
+    assert steady == pytest.approx([0.0070, 0.0087, 0.0102], abs=6e-5)          # demos/data/README.md, as what follows
+    steady = found.runs[0].since_turn == np.inf
+    assert [found.runs[0].columns[name][steady].mean() for name in ("Z2", "A_xz", "stress_ratio", "N1/p", "N2/p")] == pytest.approx(
+        [6.16, -0.035, 0.274, -0.062, 0.095], abs=6e-3)
 
 
 @pytest.mark.parametrize("folder", sorted((ROOT / "demos/data/ensemble").glob("*mu*")), ids=lambda folder: folder.name)

@@ -11,7 +11,8 @@ from .predicted import Prediction
 QUANTITIES = ("p", "stress_ratio", "Z2", "A_xz", "N1/p", "N2/p", "phi")
 # Phases: the shear strain since the last turn above which they begin, and up to which they last.
 FINITE = float(np.finfo(float).max)
-PHASES = {"all": (-1.0, np.inf), "steady": (FINITE, np.inf), "first 0.1": (-1.0, 0.1), "0.1 to 0.5": (0.1, 0.5), "later": (0.5, FINITE)}
+PHASES = {"all": (-1.0, np.inf), "steady": (FINITE, np.inf), "first 0.1": (-1.0, 0.1), "0.1 to 0.5": (0.1, 0.5),
+          "later": (0.5, FINITE)}
 ROUNDING = 1e-6             # of strains, at the ends of phases
 # Share of the run's steady p that p must exceed where a quantity counts.
 LEAST_PRESSURE = {"p": -np.inf, "stress_ratio": 0.2, "Z2": 0.05, "A_xz": 0.05, "N1/p": 0.2, "N2/p": 0.2, "phi": -np.inf}
