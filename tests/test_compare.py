@@ -84,6 +84,7 @@ def test_a_start_without_coordination_number_has_that_of_its_pressure_and_fabric
     assert predict(run, law).columns["Z2"] == pytest.approx(columns["Z2"], rel=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
 def test_rows_before_the_shear_begins_are_left_out(tmp_path):
     steps = [driver.isotropic_compression(pressure=0.005, increments=5), driver.shear(0.7, "pressure", 70)]
     columns = history(steps, start=LAW.isotropic(0.62, pressure=0.001))
@@ -281,6 +282,7 @@ def scaled(factor, *starts):
     (scaled(2e5, "sigma"), r"p reaches \d+: stresses are in k/d, so that p is at most 0.5; give stiffness"),
     (scaled(-1, "sigma_xz"), "sigma_xz has the wrong sign: in steady shear with growing gamma it must be negative"),
     (scaled(-1, "A_xz"), "A_xz has the wrong sign: in steady shear with growing gamma it must be negative"),
+    (lambda columns: columns | {"e_xz": 0.4 * columns["gamma"]}, "is not simple shear: e_xz is not half of gamma"),
     (scaled(10, "Z2"), "Z2 is 48.2 to 53.0.: is a number of contacts per grain"),
     (lambda columns: columns | {"A_xx": columns["A_xx"] + 1 / 3}, r"the fabric's trace .* reaches 0.333.*: must be 0"),
     (lambda columns: columns | {"p": columns["sigma_zz"] * 1.2}, "p is not a third of sigma_xx"),
@@ -293,6 +295,13 @@ def scaled(factor, *starts):
 def test_each_fault_of_a_table_has_its_words(tmp_path, change, words):
     with pytest.raises(ValueError, match=words):
         read_runs([write(tmp_path / "run.csv", change(history()))])
+
+
+@pytest.mark.parametrize("name", ["sigma_xz", "A_xz"])
+def test_wrong_signs_are_seen_long_after_a_turn_too(tmp_path, name):
+    columns = history([driver.shear(-1.2, increments=120)], start=LAW.isotropic(0.62, pressure=0.005))
+    with pytest.raises(ValueError, match=f"{name} has the wrong sign"):
+        read_runs([write(tmp_path / "run.csv", scaled(-1, name)(columns), start="data")])
 
 
 @pytest.mark.parametrize("keys, words", [

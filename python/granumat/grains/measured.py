@@ -67,7 +67,7 @@ FABRIC = tuple(f"A_{axis}" for axis in tensors.AXES)
 SYMBOLS = {f"p{axis}": f"sigma_{axis}" for axis in tensors.AXES} | {f"A{axis}": f"A_{axis}" for axis in tensors.AXES}
 PATH = ("gamma", "gamma_total", "phi", "step")             # must be known in every row
 MEASURED = ("p", "stress_ratio", "Z2", "A_xz")             # at least one of these must be known
-COLUMNS = ("step", "gamma", "gamma_total", "phi", "p", "stress_ratio", "Z2", *FABRIC, *STRESSES)
+COLUMNS = (*PATH, "e_xz", "p", "stress_ratio", "Z2", *FABRIC, *STRESSES)
 OF_ALL_RUNS = ("mu", "contact", "phi", "positive", "stiffness")       # keys that hold for the steady shear before a run too
 ENDINGS = re.compile(r"(.+)_(s\d+|mean|scatter)")          # of names of one run's tables: of one seed, of all
 SEED = re.compile(r".+_s\d+")
@@ -76,6 +76,7 @@ LARGEST_PRESSURE = 0.5      # k/d; contacts would overlap by about half a diamet
 LARGEST_STRAIN = 0.5        # between two rows; the law forgets its start over less
 CONSTANT_PHI = 1e-4         # variation of phi in what counts as constant volume
 EQUAL_STRAIN = 1e-4         # difference of strains that count as the same, over the accumulated strain where that exceeds 1
+MOST_CONTACTS = 20.0        # per grain; spheres have at most 12
 LARGEST_TRACE = 0.01        # of a fabric that rounding has made
 EQUAL_PRESSURE = 0.01       # difference of p and a third of the trace of the stress, over the largest p
 NEGATIVE_PRESSURE = 0.05    # magnitude of a negative p that counts as noise, over the largest p
@@ -344,6 +345,7 @@ def _read_table(filename: Path, keys: Mapping[str, Any], faults: list[str]) -> d
     faults += [f"{filename}: {fault}" for fault in found]
     if found or not names:
         return {}
+    columns.pop("e_xz", None)
     missing = {name: int(np.isnan(column).sum()) for name, column in columns.items() if np.isnan(column).any()}
     if missing:
         warnings.warn(f"{filename}: rows that are not a number do not count: " + ", ".join(
@@ -358,6 +360,8 @@ def _faults_of_columns(names: Sequence[str], columns: Mapping[str, np.ndarray]) 
         faults.append(f"the column gamma, the shear strain, is missing: the table has {', '.join(names)}")
     if "phi" not in columns:
         faults.append("the column phi is missing, and no key phi says the constant volume fraction")
+    if "gamma" in columns and np.ptp(2 * columns.get("e_xz", columns["gamma"] / 2) - columns["gamma"]) > EQUAL_STRAIN:
+        faults.append("is not simple shear: e_xz is not half of gamma")
     rows = len(next(iter(columns.values()), ()))
     if columns and rows < 2:
         faults.append(f"has {rows} row: must have a start and at least one row after it")
@@ -453,7 +457,7 @@ def _faults_of_state(columns: Mapping[str, np.ndarray]) -> list[str]:
                       "in their unit")
     if "p" in columns and np.nanmax(np.abs(p - columns["p"])) > EQUAL_PRESSURE * largest:
         faults.append("p is not a third of sigma_xx + sigma_yy + sigma_zz: leave one of them out")
-    if "Z2" in columns and not (np.nanmin(columns["Z2"]) >= 0 and np.nanmax(columns["Z2"]) < 20):
+    if "Z2" in columns and not (np.nanmin(columns["Z2"]) >= 0 and np.nanmax(columns["Z2"]) < MOST_CONTACTS):
         faults.append(f"Z2 is {np.nanmin(columns['Z2']):.4g} to {np.nanmax(columns['Z2']):.4g}: is a number of contacts per grain")
     if all(name in columns for name in FABRIC[:3]):
         trace = np.nanmax(np.abs(sum(columns[name] for name in FABRIC[:3])))
