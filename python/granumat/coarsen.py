@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from .calibrations import is_calibration_file
 from .checks import refuse
 from .material import UNUSED
 
@@ -206,20 +207,24 @@ def _with_increments(entry: Mapping[str, Any], factor: float, times: Sequence[fl
 # ---- files that a file refers to ----------------------------------------------------------------------------------------
 
 def referred_files(content: Content) -> list[str]:
-    """Names of files in a content: tables of steps, meshes."""
-    return [entry["csv"] for entry in _steps(content) if isinstance(entry.get("csv"), str)] + [
-        table["file"] for table in [content.get("mesh", {})] if isinstance(table, Mapping) and isinstance(table.get("file"), str)]
+    """Names of files in a content: tables of steps, a mesh, a calibration."""
+    return [table[key] for table, key in _references(content)]
 
 
 def relocated(content: Content, move: Callable[[str], str | Path]) -> Content:
     """The content with other names of the files that it refers to."""
     content = copy.deepcopy(content)
-    for entry in _steps(content):
-        if isinstance(entry.get("csv"), str):
-            entry["csv"] = str(move(entry["csv"]))
-    if isinstance(content.get("mesh"), dict) and isinstance(content["mesh"].get("file"), str):
-        content["mesh"]["file"] = str(move(content["mesh"]["file"]))
+    for table, key in _references(content):
+        table[key] = str(move(table[key]))
     return content
+
+
+def _references(content: Content) -> list[tuple[dict[str, Any], str]]:
+    """The tables, and their keys, that name a file."""
+    places = [(entry, "csv") for entry in _steps(content)] + [
+        (content.get(name), key) for name, key in (("mesh", "file"), ("material", "calibration"))]
+    return [(table, key) for table, key in places if isinstance(table, dict) and isinstance(table.get(key), str)
+            and (key != "calibration" or is_calibration_file(table[key]))]
 
 
 def _steps(content: Content) -> list[Any]:

@@ -1,6 +1,7 @@
 """The material: its constants, the states of its points, and what the law gives for them."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar
 
@@ -8,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import core, tensors
-from .checks import check_type, choose, is_finite_number, is_number, is_positive_integer, real_array, refuse, short
+from .calibrations import is_calibration_file, read_constants
+from .checks import attempt, check_type, choose, is_finite_number, is_number, is_positive_integer, real_array, refuse, short
 from .core import STATE, status_message
 from .errors import MaterialError
 
@@ -92,7 +94,8 @@ class Material:
         Equation of the friction coefficient: "linear" (4.5) or "quadratic" (4.6); the latter needs b1, b2 and b3, which the paper
         does not print.
     calibration : str
-        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16".
+        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16"; or the name of a
+        calibration file, which ends in ".toml", whose constants take the place of table 1's.
     elastic_strain : float
         e_r, the strain over which the deviatoric stress relaxes to the model's; with 0, the paper's law, it is the model's at once.
     method : str
@@ -104,7 +107,7 @@ class Material:
     method_tolerance : float
         Relative error that "bogacki-shampine" may estimate in a substep.
     **constants : float
-        Values that replace table 1's, by name: a1 a2 a3 a4 b1 b2 b3 Zc phic c1 c2 c3 d1 d2 d3 beta1 beta2 g.
+        Values that replace the calibration's, by name: a1 a2 a3 a4 b1 b2 b3 Zc phic c1 c2 c3 d1 d2 d3 beta1 beta2 g.
 
     Attributes
     ----------
@@ -138,13 +141,18 @@ class Material:
         faults: list[str] = []
         closure_number = choose("closure", closure, CLOSURES, faults)
         contact_number = choose("contact", contact, CONTACTS, faults)
-        calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
+        fitted: dict[str, float] = {}
+        if is_calibration_file(calibration):
+            calibration, calibration_number = str(Path(calibration).absolute()), 0
+            fitted = _fitted(calibration, mu, closure, contact, friction, faults)
+        else:
+            calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
         choose("friction", friction, FRICTIONS, faults)
         method_number = choose("method", method, METHODS, faults)
         spin_number = choose("spin", spin, SPINS, faults)
         if not is_number(method_tolerance) or not 0 < method_tolerance < 1:
             faults.append(f"method_tolerance = {method_tolerance!r}: must be a number in (0, 1)")
-        given = {"mu": mu, "elastic_strain": elastic_strain, **constants}
+        given = {"mu": mu, "elastic_strain": elastic_strain, **fitted, **constants}
         for name, value in given.items():
             if name not in RANGES:
                 choose("unknown name", name, OPTIONS + tuple(RANGES), faults)
@@ -152,7 +160,7 @@ class Material:
                 faults.append(f"{name} = {value!r}: must be a number, {describe_range(name)}")
             elif name in constants and closure in CLOSURES and name in UNUSED[closure]:
                 faults.append(f"{name} = {value!r}: has no role in the closure {closure!r}")
-        missing = [name for name in ("b1", "b2", "b3") if name not in constants]
+        missing = [name for name in ("b1", "b2", "b3") if name not in given]
         if friction == "quadratic" and missing:
             faults.append(f"friction 'quadratic': the paper prints no constants, give {', '.join(missing)} as well")
         if friction == "linear" and "b3" in constants:
@@ -647,6 +655,14 @@ def _records(states: object) -> np.ndarray:
     if states.dtype != STATE:
         raise TypeError(f"states: are of dtype {states.dtype}: must be of granumat.STATE, {STATE}")
     return np.ascontiguousarray(states).reshape(states.shape)
+
+
+def _fitted(calibration: str, mu: float, closure: str, contact: str, friction: str, faults: list[str]) -> dict[str, float]:
+    """The constants of a calibration file that have a role."""
+    constants = [name for name in RANGES if name not in ("mu", "elastic_strain")]
+    fitted = attempt(faults, "", read_constants, calibration, mu, contact, constants) or {}
+    unused = (*UNUSED.get(closure, ()), *(("b3",) if friction == "linear" else ()))
+    return {name: value for name, value in fitted.items() if name not in unused}
 
 
 def _remake(given: dict[str, Any]) -> Material:

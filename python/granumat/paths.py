@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import steps
+from .calibrations import is_calibration_file
 from .checks import attempt, is_finite_number, is_number, refuse
 from .files import read_lines
 from .history import ACOUSTIC, COLUMNS, column_name
@@ -71,7 +72,7 @@ def read_path_file(filename: str | Path) -> PathFile:
     filename = Path(filename)
     content = read_toml(filename)
     faults = [f"unknown table or key {name!r}: allowed are {', '.join(TABLES)}" for name in content if name not in TABLES]
-    material = attempt(faults, "", read_material, content)
+    material = attempt(faults, "", read_material, content, filename.parent)
     state = attempt(faults, "", read_initial, material, content)
     entries = content.get("step", [])
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
@@ -95,9 +96,17 @@ def read_path_file(filename: str | Path) -> PathFile:
     return PathFile(material, state, found, tolerance, acoustic, quantities)
 
 
-def read_material(content: Table) -> Material:
-    """The material of a file's table [material]."""
-    return Material(**table_of(content, "material"))
+def read_material(content: Table, directory: Path = Path()) -> Material:
+    """The material of a file's table [material]; a calibration file is looked for in a directory, that of the file."""
+    return Material(**material_table(content, directory))
+
+
+def material_table(content: Table, directory: Path) -> dict[str, Any]:
+    """A file's table [material], with the name of a calibration file as it is found from the directory of the file."""
+    table = table_of(content, "material")
+    if is_calibration_file(table.get("calibration")):
+        table = table | {"calibration": str(directory / table["calibration"])}
+    return table
 
 
 def initial_table(content: Table) -> dict[str, Any]:

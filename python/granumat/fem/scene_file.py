@@ -43,7 +43,7 @@ def read_scene(path: str | Path) -> Scene:
     path = Path(path)
     content = read_toml(path)
     faults = [f"unknown table or key {name!r}: allowed are {', '.join(TABLES)}" for name in content if name not in TABLES]
-    material = attempt(faults, "", read_material, content)
+    material = attempt(faults, "", read_material, content, path.parent)
     mesh = attempt(faults, "[mesh]: ", _mesh, content, path.parent)
     kind, d = _kind_and_dimension(content.get("mesh"))
     settings = attempt(faults, "[problem]: ", _settings, content, d)

@@ -11,7 +11,8 @@ import numpy as np
 from ..checks import attempt, refuse
 from ..files import replacing, write_table
 from ..material import Material
-from ..toml import read_toml, table_of
+from ..paths import material_table
+from ..toml import read_toml
 from .measured import Run, read_runs
 from .predicted import Prediction, predict
 from .scores import PHASES, QUANTITIES, Yardstick, root_mean_square
@@ -131,7 +132,7 @@ def read_model(filename: str | Path) -> dict[str, Any]:
     content = read_toml(filename)
     if "material" not in content:
         raise ValueError(f"{filename}: has no table [material]")
-    return table_of(content, "material")
+    return material_table(content, Path(filename).parent)
 
 
 def compare(runs: Iterable[Run | str | Path], models: Mapping[str, Mapping[str, Any]] | None = None, **keys: Any) -> Comparison:
