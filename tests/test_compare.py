@@ -320,6 +320,11 @@ def test_each_fault_of_a_key_has_its_words(tmp_path, keys, words):
         read_runs([write(tmp_path / "run.csv", history(), **keys)])
 
 
+def test_a_strain_to_skip_that_a_table_does_not_reach_is_refused_without_its_accumulated_strain_too(tmp_path):
+    with pytest.raises(ValueError, match=r"skip = 9 leaves 0 rows with shear: the accumulated strain ends at 1.7"):
+        read_runs([write(tmp_path / "run.csv", without("gamma_total")(history()))], skip=9.0)
+
+
 def test_all_faults_of_all_tables_are_told_at_once(tmp_path):
     one = write(tmp_path / "one.csv", scaled(-1, "sigma")(without("phi")(history())))
     one.with_suffix(".toml").unlink()

@@ -338,8 +338,10 @@ def _read_table(filename: Path, keys: Mapping[str, Any], faults: list[str]) -> d
         if not any(name in with_ratios(columns) for name in MEASURED):
             found.append(f"has nothing to compare: give at least one of {', '.join(MEASURED)}, or stresses, {', '.join(STRESSES)}")
         if "gamma" in columns and len(table) > 1 and np.isfinite([columns[name] for name in PATH if name in columns]).all():
-            columns = attempt(found, "", _from, _in_order(filename, columns), keys.get("skip", 0.0)) or columns
-            found += _faults_of_path(columns)
+            kept = attempt(found, "", _from, _in_order(filename, columns), keys.get("skip", 0.0))
+            if kept:
+                columns = kept
+                found += _faults_of_path(columns)
         if not found and "start" in keys:
             found += _faults_of_signs(with_ratios(columns), keys["start"])
     faults += [f"{filename}: {fault}" for fault in found]
@@ -387,6 +389,8 @@ def _accumulated(gamma: np.ndarray) -> np.ndarray:
 def _from(columns: dict[str, np.ndarray], skip: float) -> dict[str, np.ndarray]:
     """Rows from an accumulated strain on, where shear begins, and the accumulated strain from there."""
     total = _accumulated(columns["gamma"])
+    if not total[-1] > 0:
+        raise ValueError("gamma does not change: there is no shear")
     first = np.searchsorted(total, skip - EQUAL_STRAIN * max(skip, 1) if skip else 0.0)
     begins = np.searchsorted(total, total[first], side="right") - 1 if first < len(total) else first
     kept = {name: column[begins:] for name, column in columns.items()}
@@ -418,8 +422,6 @@ def _faults_of_path(columns: Mapping[str, np.ndarray]) -> list[str]:
     faults = []
     gamma, phi = columns["gamma"], columns.get("phi", np.full(1, 0.5))
     increments = np.abs(np.diff(gamma))
-    if not increments.any():
-        faults.append("gamma does not change: there is no shear")
     if (increments > LARGEST_STRAIN).any():
         faults.append(f"gamma changes by up to {increments.max():.4g} from row to row, by more than {LARGEST_STRAIN}: is it in per "
                       "cent? It must be a strain without a unit")
