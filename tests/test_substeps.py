@@ -34,7 +34,7 @@ def test_a_quiet_increment_takes_a_lower_degree(degree, mod_D):
     state = material.state(material["phic"] - 0.02, material["Zc"] + 1, VOIGT @ A)
     increment = {"mod_D": mod_D, "tr_D": volume * mod_S, "S": S, "w": w, "S_hat": S / mod_D, "tr_hat": volume * mod_S / mod_D}
     law, dev = Law(material.constants, "kinematic", "hookean"), VOIGT.T @ (state.stress * [1, 1, 1, 2, 2, 2])
-    steps = [Substep(law, increment, 1.0, A, 1.0, state.volume_fraction, dev, n) for n in (degree, 4)]
+    steps = [Substep(law, increment, 1.0, A, 1.0, state.volume_fraction, dev, degree=n) for n in (degree, 4)]
     as_expected, finer = (VOIGT @ step.dev - step.p[-1] * IDENTITY for step in steps)
     new = material.update(state, np.tensordot(S, BASIS, 1) + volume * mod_S / 3 * np.eye(3) + np.tensordot(w, SPINS, 1))
     error, difference = (np.abs(new.stress - stress).max() / np.abs(finer).max() for stress in (as_expected, finer))

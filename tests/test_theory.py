@@ -83,6 +83,8 @@ class Law:
 
     def __init__(self, c, closure, contact):
         self.c, self.critical, self.hertzian = c, closure == "critical", contact == "hertzian"
+        self.mobilised = closure == "mobilised"
+        self.relaxes = c["elastic_strain"] > 0 and not self.mobilised
 
     def excess_target(self, phi):
         """f - Zc (4.9) and its derivative by ln(phi)."""
@@ -109,11 +111,16 @@ class Law:
         return (n, along * np.outer(S_hat, S_hat) - c["a4"] * np.eye(5) - c["a3"] * PRODUCT @ S_hat,
                 along * np.outer(S_hat, A) + across * np.eye(5) - c["a3"] * PRODUCT @ A)
 
+    def mobilised_over_pressure(self, A, M):
+        """11.2, 11.3: n and its derivatives by A and S^."""
+        c, product = self.c, self.c["a3"] / self.c["lambda"] * PRODUCT @ A
+        return c["b1"] * M + 2 * c["b2"] * A - product @ A, 2 * c["b2"] * np.eye(5) - 2 * product, np.zeros((5, 5))
+
 
 class Substep:
     """5.7: one substep, a share of the increment; forward, and (7) backward. Arrays by place begin at the start."""
 
-    def __init__(self, law, inc, share, A, excess, phi, dev, degree=4):
+    def __init__(self, law, inc, share, A, excess, phi, dev, M=None, degree=4):
         c, self.law, self.inc, self.share = law.c, law, inc, share
         self.mod_D, self.tr_D, self.S, self.w = share * inc["mod_D"], share * inc["tr_D"], share * inc["S"], share * inc["w"]
         tau = [math.sqrt(max(math.log(phi / c["phic"]) - t * self.tr_D, 0)) for t in (0, 1)]            # 3.3
@@ -123,19 +130,20 @@ class Substep:
         self.t_nodes, self.t = (xi * (2 * tau[0] + xi * (tau[1] - tau[0])) / sum(tau) for xi in (POINTS, places))
         self.dt = 2 * (tau[0] + POINTS * (tau[1] - tau[0])) / sum(tau)
         self.integrals = integrals(places)
-        self.phi = phi * np.exp(-self.tr_D * self.t)                                                     # 3.1
+        self.phi, self.M = phi * np.exp(-self.tr_D * self.t), None                                       # 3.1
         if law.critical:                                                                                # 1.5
             self.excess, self.f_slope = np.array([law.excess_target(value) for value in self.phi]).T
             self.A = np.tile(c["lambda"] * inc["S_hat"], (len(places), 1))
         else:
             self.f, self.f_slope = np.array([law.excess_target(phi * math.exp(-self.tr_D * t)) for t in self.t_nodes]).T
-            self.solve_microstructure(c, A, excess)
+            self.solve_microstructure(c, A, excess, M)
         stress = [law.pressure(A, z, inc["tr_hat"]) for A, z in zip(self.A, self.excess)]
         self.p, self.p_by_A, self.p_by_excess, self.p_by_tr = (np.array(part) for part in zip(*stress))
-        n = [law.deviator_over_pressure(A, inc["S_hat"]) for A in self.A]
+        n = [law.mobilised_over_pressure(A, self.M) if law.mobilised else law.deviator_over_pressure(A, inc["S_hat"])
+             for A in self.A]
         self.n, self.n_by_A, self.n_by_S_hat = (np.array(part) for part in zip(*n))
         self.dev = self.p[-1] * self.n[-1]
-        if c["elastic_strain"] > 0:                                                                     # 4
+        if law.relaxes:                                                                                 # 4
             ratio, self.u = self.mod_D / c["elastic_strain"], 1 - self.t
             self.weights, self.slopes = relaxation_weights(ratio, self.u)
             self.R, self.decayed = [rotation(u * self.w) for u in self.u], math.exp(-ratio)
@@ -144,7 +152,7 @@ class Substep:
             self.rotated = np.array([R @ (p * n) for R, p, n in zip(self.R, self.p, self.n)])
             self.dev = self.old + self.weights @ self.rotated
 
-    def solve_microstructure(self, c, A, excess):
+    def solve_microstructure(self, c, A, excess, M):
         matrix = np.zeros((6, 6))                                                                       # 2.3
         matrix[:5, :5] = c["c2"] * self.mod_D * np.eye(5) + np.einsum("acb,c->ab", COROTATE, self.w)
         matrix[:5, 5], matrix[5, :5] = c["c1"] * self.S, -c["c3"] * self.S
@@ -159,11 +167,22 @@ class Substep:
         self.powers_slope = k * self.t_nodes[:, None] ** np.maximum(k - 1, 0)
         self.y_nodes = self.powers_nodes @ self.series[:, 5]
         self.A_S = -(self.powers_slope @ self.series[:, 5]) / (c["c3"] * self.y_nodes)                   # 2.6
+        self.mobilised = np.ones(4)
+        if self.law.mobilised:
+            self.solve_mobilisation(self.mod_D / c["elastic_strain"], M)
         decay = c["d2"] * self.mod_D                                                                    # 3.2
-        forcing = c["d1"] * (self.A_S - c["chi"] * size(self.S)) + decay * self.f + c["d3"] * self.tr_D
+        forcing = c["d1"] * (self.A_S - c["chi"] * self.mobilised * size(self.S)) + decay * self.f + c["d3"] * self.tr_D
         self.growth, self.decay = np.exp(decay * self.t_nodes), np.exp(-decay * self.t)
         self.integrand = self.growth * self.dt * forcing
         self.excess = (excess + self.integrand @ self.integrals) * self.decay
+
+    def solve_mobilisation(self, ratio, M):
+        """11.2"""
+        self.turn, self.M_series = np.einsum("acb,c->ab", COROTATE, self.w) - ratio * np.eye(5), [M]
+        for k in range(1, ORDER + 1):
+            self.M_series.append((self.turn @ self.M_series[-1] + (k == 1) * ratio * self.inc["S_hat"]) / k)
+        self.M, self.M_nodes = sum(self.M_series), self.powers_nodes @ self.M_series
+        self.mobilised = np.maximum(self.M_nodes @ self.inc["S_hat"] / 2, 0)
 
     def adjoint(self, f):
         """7.4: adjoints f of the six functions at the end become those at the start."""
@@ -171,7 +190,7 @@ class Substep:
         f["tr_D"] = f["tr_D"] - share * f["log_phi"]
         A, excess = np.zeros((6, len(self.t), 5)), np.zeros((6, len(self.t)))                           # [function, place, ...]
         A[:, -1], excess[:, -1] = f["A"], f["excess"]
-        if c["elastic_strain"] > 0:
+        if self.law.relaxes:
             self.adjoint_relaxation(c, f, A, excess)
         if self.law.critical:                                                                           # 7.8
             by_log_phi = excess * self.f_slope
@@ -180,7 +199,23 @@ class Substep:
             f["S_hat"] = f["S_hat"] + c["lambda"] * A.sum(1)
             f["A"], f["excess"] = np.zeros((6, 5)), np.zeros(6)
         else:
-            self.adjoint_microstructure(c, f, A, excess)
+            kernel = self.adjoint_microstructure(c, f, A, excess)
+            if self.law.mobilised:
+                self.adjoint_mobilisation(c, f, excess[:, -1:] * kernel[:, -1])
+
+    def adjoint_mobilisation(self, c, f, by_forcing):
+        """11.3"""
+        S_hat, share, ratio = self.inc["S_hat"], self.share, self.mod_D / c["elastic_strain"]
+        by_projection = -c["d1"] * c["chi"] * size(self.S) * by_forcing * (self.mobilised > 0) / 2       # of M : S^ at the nodes
+        f["S_hat"] = f["S_hat"] + by_projection @ self.M_nodes
+        g = f["M"][:, None] + np.einsum("fi,ik,a->fka", by_projection, self.powers_nodes, S_hat)
+        q = g[:, ORDER]
+        for k in range(ORDER, 0, -1):
+            f["mod_D"] = f["mod_D"] + share / c["elastic_strain"] / k * q @ ((k == 1) * S_hat - self.M_series[k - 1])
+            f["S_hat"] = f["S_hat"] + (k == 1) * ratio * q
+            f["w"] = f["w"] + share / k * moments(q, self.M_series[k - 1])
+            q = q @ self.turn / k + g[:, k - 1]
+        f["M"] = q
 
     def adjoint_relaxation(self, c, f, A, excess):
         """7.5"""
@@ -207,7 +242,7 @@ class Substep:
         share, k = self.share, np.arange(ORDER + 1)
         kernel = self.integrals * (self.growth * self.dt)[:, None] * self.decay                          # 7.6: [i, m]
         f["excess"] = excess @ self.decay
-        f["mod_S"] = f["mod_S"] - c["d1"] * c["chi"] * share * excess @ kernel.sum(0)
+        f["mod_S"] = f["mod_S"] - c["d1"] * c["chi"] * share * excess @ (self.mobilised @ kernel)
         by_mod_D = (self.integrals * self.decay).T @ (self.t_nodes * self.integrand) + kernel.T @ self.f - self.t * self.excess
         f["mod_D"] = f["mod_D"] + c["d2"] * share * excess @ by_mod_D
         by_log_phi = c["d2"] * self.mod_D * kernel * self.f_slope[:, None]
@@ -227,6 +262,7 @@ class Substep:
             f["w"] = f["w"] + share / k * moments(q[:, :5], B)
             q = q @ self.matrix / k + g[:, k - 1]
         f["A"] = q[:, :5]
+        return kernel
 
 
 def update_with_tangent(material, closure, contact, state, gradient):
@@ -237,9 +273,11 @@ def update_with_tangent(material, closure, contact, state, gradient):
     inc = {"mod_D": mod_D, "tr_D": tr_D, "S": S, "w": np.array([W[axes] for axes in AXES[3:]]),
            "S_hat": S / mod_D, "tr_hat": tr_D / mod_D}
     start = [VOIGT.T @ (state["fabric"] * [1, 1, 1, 2, 2, 2]), state["coordination_number"] - c["Zc"], state["volume_fraction"],
-             VOIGT.T @ (state["stress"] * [1, 1, 1, 2, 2, 2])]
+             VOIGT.T @ (state["stress"] * [1, 1, 1, 2, 2, 2]), VOIGT.T @ (state["direction"] * [1, 1, 1, 2, 2, 2])]
     rate = (abs(c["c2"]) + math.sqrt(-2 * c["c1"] * c["c3"])) * mod_D + 2 * np.linalg.norm(inc["w"]) \
         + 2 * (c["c3"] * size(start[0]) + c["d2"]) * mod_D                                              # 5.2
+    if law.mobilised:
+        rate += mod_D / c["elastic_strain"]
     e = math.log(start[2] / c["phic"])
     crossing = e / tr_D if e * (e - tr_D) < 0 else 1                                                    # 5.1
     steps = []
@@ -247,12 +285,14 @@ def update_with_tangent(material, closure, contact, state, gradient):
         n = math.ceil(FINER * part * rate / 0.4)
         for _ in range(n):
             steps.append(Substep(law, inc, part / n, *start))
-            start = [steps[-1].A[-1], steps[-1].excess[-1], steps[-1].phi[-1], steps[-1].dev]
+            start = [steps[-1].A[-1], steps[-1].excess[-1], steps[-1].phi[-1], steps[-1].dev, steps[-1].M]
     last = steps[-1]
-    f = {name: np.zeros((6, 5)) for name in ("A", "dev", "S", "S_hat")} | {"w": np.zeros((6, 3))}       # 7.3
+    f = {name: np.zeros((6, 5)) for name in ("A", "dev", "M", "S", "S_hat")} | {"w": np.zeros((6, 3))}       # 7.3
     f |= {name: np.zeros(6) for name in ("excess", "log_phi", "mod_S", "tr_D", "mod_D", "tr_hat")}
     f["A"][5], f["excess"][5], f["tr_hat"][5] = last.p_by_A[-1], last.p_by_excess[-1], last.p_by_tr[-1]
-    if c["elastic_strain"] > 0:
+    if law.mobilised:
+        f["M"][:5] = last.p[-1] * c["b1"] * np.eye(5)
+    if law.relaxes:
         f["dev"][:5] = np.eye(5)
     else:
         f["A"][:5] = last.p[-1] * last.n_by_A[-1] + np.outer(last.n[-1], last.p_by_A[-1])
@@ -270,7 +310,8 @@ def update_with_tangent(material, closure, contact, state, gradient):
 
 
 CASES = [("full", "hookean", 0.0), ("full", "hookean", 0.01), ("kinematic", "hertzian", 0.0), ("n2", "hertzian", 0.003),
-         ("critical", "hookean", 0.0), ("critical", "hookean", 0.02), ("basic", "hookean", 1.0)]
+         ("critical", "hookean", 0.0), ("critical", "hookean", 0.02), ("basic", "hookean", 1.0), ("mobilised", "hookean", 0.01),
+         ("mobilised", "hertzian", 0.1)]
 
 
 @pytest.mark.parametrize(("closure", "contact", "elastic_strain"), CASES)
@@ -282,6 +323,10 @@ def test_the_formulas_of_the_theory_page_give_the_states_and_tangents_of_the_cor
         volume_strain = -0.003 if across else 0.3 * np.trace(gradient)
         gradient -= (np.trace(gradient) - volume_strain) / 3 * np.eye(3)
         old = material.state(material["phic"] - 0.001 if across else 0.60, 5.2, fabric, stress=STRESS)
+        if closure == "mobilised":                                              # sheared before in a direction not far from this
+            old["direction"] = [gradient[axes] + gradient[axes[::-1]] for axes in AXES]
+            old["direction"] *= 0.6 / size(old["direction"] * [1, 1, 1, 2**0.5, 2**0.5, 2**0.5])
+            old["direction"] += 0.2 * fabric / size(fabric)
         new, tangent = material.update_with_tangent(np.array([old]), gradient[None], spin=True)
         expected = update_with_tangent(material, closure, contact, old, gradient)
         found = new["fabric"][0], new["coordination_number"][0], new["volume_fraction"][0], new["stress"][0], tangent[0]

@@ -7,12 +7,13 @@ module granumat_substeps
   use granumat_coordination, only: integrate_coordination, quadrature_nodes
   use granumat_fabric, only: fabric_at, fabric_rate_bound, fabric_solution, projections_at, solve_fabric
   use granumat_increment, only: increment
-  use granumat_law, only: critical_state
-  use granumat_parameters, only: material_parameters, CRITICAL
+  use granumat_law, only: critical_state, mobilised_share
+  use granumat_mobilisation, only: direction_at, mobilisation_solution, share_to_kink, solve_mobilisation
+  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, choose_places, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
-  use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
+  use granumat_stress, only: mobilised_deviator, model_deviator, pressure, pressure_factor, stress_deviator
   use granumat_tensors, only: magnitude, matrix_times, rotation_angle, rotation_of_deviators, &
     small_rotation, times, times_spin
   implicit none (type, external)
@@ -43,6 +44,7 @@ module granumat_substeps
     real(dp) :: phi(LANES)
     real(dp) :: log_phi(LANES)         !! ln(phi/phic)
     real(dp) :: dev(LANES, 5)          !! deviatoric stress, tension positive
+    real(dp) :: M(LANES, 5)            !! mobilised direction of friction, in the closure that has one
   end type internal_state
 
   !> A substep before it is taken: where it starts, its share of the increment, and ln(phi/phic) at its end.
@@ -68,6 +70,10 @@ module granumat_substeps
     real(dp) :: R(LANES, 5, 5, 0:MAX_DEGREE)                                 !! rotations of deviators to the end
     real(dp) :: rotated(LANES, 5, 0:MAX_DEGREE), decayed(LANES, 5)           !! the model's deviators and the old one there
     type(fabric_solution) :: fabric
+    ! in the closure where friction turns
+    type(mobilisation_solution) :: mobilisation
+    real(dp) :: M(LANES, 5, N_NODES)                                         !! mobilised direction at the nodes
+    real(dp) :: mobilised(LANES, N_NODES)                                    !! share of friction there; 1 in the other closures
     integer :: last
   end type substep_solution
 
@@ -136,10 +142,14 @@ contains
       graded_rate = kink_rate_bound(par, inc, x, mod_A, rate, log_phi_end)
       steps = remainder * graded_rate / SUBSTEP_RATE
       next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
-      log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
       share_next = remainder - next_remainder
+      if (par%closure == MOBILISED) then
+        share_next = up_to_kink(par, inc, x%M, share_next)
+        next_remainder = remainder - share_next
+      end if
+      log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
       degree = 1
-      if (par%elastic_strain > 0) degree = degree_needed(par, share_next * graded_rate, share_next * inc%mod_D)
+      if (deviator_relaxes(par)) degree = degree_needed(par, share_next * graded_rate, share_next * inc%mod_D)
       if (record%all_wanted) call add_start(record, substep_start(x, share_next, log_phi_next, degree))
       call take_substep(par, inc, share_next, log_phi_next, degree, x, record%solution, status)
       remainder = merge(next_remainder, 0.0_dp, status == OK)
@@ -147,6 +157,18 @@ contains
     end do
     where (remainder > 0) status = INCREMENT_TOO_LARGE
   end subroutine integrate_part
+
+  !> The share of a substep, cut where the mobilised share of friction has a kink.
+  pure function up_to_kink(par, inc, M, share) result(cut)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: M(LANES, 5), share(LANES)
+    real(dp) :: cut(LANES)
+    type(mobilisation_solution) :: solution
+
+    call solve_mobilisation(par, M, inc%S_hat, share * inc%mod_D, times_spin(share, inc%spin), solution)
+    cut = share * share_to_kink(solution, inc%S_hat)
+  end function up_to_kink
 
   !> Adds the start of a substep to a record.
   pure subroutine add_start(record, start)
@@ -169,7 +191,7 @@ contains
     record%steps = n + 1
   end subroutine add_start
 
-  !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2 and phi can change where the law is smooth; in the
+  !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2, phi and M can change where the law is smooth; in the
   !! critical-state closure, of the model's stress in a frame that rotates with the spin.
   !!
   !! The factor 2 keeps d2 |D|, |tr D| and the angle of a substep at or below SUBSTEP_RATE/2 = 0.2, up to where `exponential` and
@@ -183,6 +205,7 @@ contains
       rate = CRITICAL_REFINEMENT * 2 * (rotation_angle(inc%spin) + abs(inc%tr_D))
     else
       rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
+      if (par%closure == MOBILISED) rate = rate + inc%mod_D / par%elastic_strain
     end if
   end function rate_bound
 
@@ -204,7 +227,7 @@ contains
     rate = smooth
     where (x%log_phi > 0 .or. log_phi_end > 0) &
       rate = max(rate, min(abs(volume_rate) / max(log_phi_next, SMALLEST_LOG_PHI), 4 * smooth))
-    if (par%elastic_strain > 0) then
+    if (deviator_relaxes(par)) then
       rate = RELAXATION_REFINEMENT * rate
       where (x%log_phi > 0 .or. log_phi_end > 0) rate = max(rate, 4 * abs(volume_rate) / max(x%log_phi, SMALLEST_LOG_PHI))
       if (par%closure == CRITICAL) return
@@ -240,7 +263,7 @@ contains
     type(internal_state), intent(inout) :: x
     type(substep_solution), intent(out) :: step
     integer, intent(inout) :: status(LANES)
-    real(dp) :: places(LANES, 0:MAX_DEGREE)
+    real(dp) :: places(LANES, 0:MAX_DEGREE), one(LANES)
     integer :: i
 
     step%share = share
@@ -258,25 +281,31 @@ contains
         call critical_state(par, inc%S_hat, step%phi_place(:, i), step%A(:, :, i), step%excess(:, i))
       end do
     else
-      call evolve_microstructure(par, x, step, status)
+      call evolve_microstructure(par, inc, x, step, status)
     end if
     x%phi = x%phi * exponential(-step%tr_D)
     x%log_phi = log_phi_end
     x%A = step%A(:, :, AT_END)
     x%excess = step%excess(:, AT_END)
-    if (par%elastic_strain > 0) then
+    if (deviator_relaxes(par)) then
       call relax(par, inc, step, x%dev)
+    else if (par%closure == MOBILISED) then
+      one = 1
+      x%M = direction_at(step%mobilisation, one)
+      x%dev = times(pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess), mobilised_deviator(par, x%A, x%M))
     else
       x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
     end if
   end subroutine take_substep
 
-  !> Fabric and coordination number of a substep.
-  pure subroutine evolve_microstructure(par, x, step, status)
+  !> Fabric and coordination number of a substep, and the mobilised direction at its nodes.
+  pure subroutine evolve_microstructure(par, inc, x, step, status)
     type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
     type(internal_state), intent(in) :: x         ! at the start
     type(substep_solution), intent(inout) :: step
     integer, intent(inout) :: status(LANES)
+    real(dp) :: driving(LANES, N_NODES)           ! A : S + chi (1 - m) |S|, for which (4.8) is as printed
     integer :: i
 
     do i = 1, N_NODES
@@ -291,7 +320,17 @@ contains
     end do
     where (status == OK .and. .not. (step%y_place(:, AT_END) > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
       status = FABRIC_BLOWS_UP
-    call integrate_coordination(par, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+    driving = step%A_S
+    step%mobilised = 1
+    if (par%closure == MOBILISED) then
+      call solve_mobilisation(par, x%M, inc%S_hat, step%mod_D, step%w, step%mobilisation)
+      do i = 1, N_NODES
+        step%M(:, :, i) = direction_at(step%mobilisation, step%t(:, i))
+        step%mobilised(:, i) = mobilised_share(step%M(:, :, i), inc%S_hat)
+        driving(:, i) = driving(:, i) + par%chi * (1 - step%mobilised(:, i)) * magnitude(step%S)
+      end do
+    end if
+    call integrate_coordination(par, driving, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
       step%integrals, step%t_place, step%last, step%growth, step%integrand, step%decay_place, step%excess)
   end subroutine evolve_microstructure
 

@@ -11,11 +11,13 @@ module granumat_tangent
   use granumat_fabric, only: MAX_TERMS, adjoint_fabric
   use granumat_increment, only: increment
   use granumat_law, only: excess_target, excess_target_slope
-  use granumat_parameters, only: material_parameters, CRITICAL
+  use granumat_mobilisation, only: MAX_POWER, adjoint_mobilisation
+  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_status, only: OK
-  use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes
+  use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes, &
+    mobilised_deviator, mobilised_slopes
   use granumat_substeps, only: internal_state, substep_record, substep_solution, take_substep
   use granumat_tensors, only: add_identity, commutator_of_spins, contract, magnitude, product_matrix, rotation_series, &
     spin_derivative, times, times_spin, to_voigt, transposed_times
@@ -33,7 +35,7 @@ module granumat_tangent
   !> The derivatives of one function of the stress at the end: by what evolves, at the start of the substeps passed so far, and by
   !! the increment.
   type :: adjoint
-    real(dp) :: A(LANES, 5), dev(LANES, 5), excess(LANES), log_phi(LANES)
+    real(dp) :: A(LANES, 5), dev(LANES, 5), M(LANES, 5), excess(LANES), log_phi(LANES)
     real(dp) :: S(LANES, 5), S_hat(LANES, 5), w(LANES, 3)
     real(dp), dimension(LANES) :: mod_S, tr_D, mod_D, tr_direction
   end type adjoint
@@ -49,6 +51,7 @@ module granumat_tangent
     real(dp) :: by_y(LANES, 0:MAX_TERMS, MAX_DEGREE)          !! of Z2 - Zc there by y_k of the fabric
     real(dp), dimension(LANES, MAX_DEGREE) :: inverse_y       !! 1/y
     real(dp), dimension(LANES, MAX_DEGREE) :: by_mod_D, by_mod_S, by_tr_D, by_log_phi   !! of Z2 - Zc there
+    real(dp) :: by_mobilised(LANES, N_NODES)                  !! of Z2 - Zc at the end by the mobilised share at the nodes
     integer :: terms
   end type shared_derivatives
 
@@ -97,9 +100,19 @@ contains
     f(n)%A = times(by%A, x%A)
     f(n)%excess = by%excess
     f(n)%tr_direction = by%trace
-    if (par%elastic_strain > 0) then
+    if (deviator_relaxes(par)) then
       do i = 1, n - 1
         f(i)%dev(:, i) = 1
+      end do
+    else if (par%closure == MOBILISED) then
+      dev_over_p = mobilised_deviator(par, x%A, x%M)
+      p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess)
+      by_A = mobilised_slopes(par, x%A)
+      do i = 1, n - 1
+        f(i)%A = times(p, by_A(:, :, i)) + times(dev_over_p(:, i), f(n)%A)
+        f(i)%M(:, i) = p * par%b1
+        f(i)%excess = dev_over_p(:, i) * by%excess
+        f(i)%tr_direction = dev_over_p(:, i) * by%trace
       end do
     else
       one = 1
@@ -119,6 +132,7 @@ contains
     type(adjoint), intent(out) :: f
     f%A = 0
     f%dev = 0
+    f%M = 0
     f%excess = 0
     f%log_phi = 0
     f%S = 0
@@ -147,19 +161,20 @@ contains
       at(i)%excess(:, AT_END) = f(i)%excess
       f(i)%tr_D = f(i)%tr_D - step%share * f(i)%log_phi
     end do
-    if (par%elastic_strain > 0) call adjoint_relaxation(par, inc, step, f(:n - 1), at(:n - 1))
+    if (deviator_relaxes(par)) call adjoint_relaxation(par, inc, step, f(:n - 1), at(:n - 1))
     if (par%closure == CRITICAL) then
       do i = 1, n
-        relaxes = par%elastic_strain > 0 .and. i < n
+        relaxes = deviator_relaxes(par) .and. i < n
         call adjoint_critical_state(par, step, merge(AT_START, AT_END, relaxes), merge(step%last, AT_END, relaxes), at(i), f(i))
       end do
     else
       call share_derivatives(par, step, shared)
       do i = 1, n
-        relaxes = par%elastic_strain > 0 .and. i < n
+        relaxes = deviator_relaxes(par) .and. i < n
         call adjoint_coordination(par, step, shared, merge(step%last, AT_END, relaxes), at(i), f(i))
         if (relaxes) f(i)%A = f(i)%A + at(i)%A(:, :, AT_START)
         if (relaxes) f(i)%excess = f(i)%excess + at(i)%excess(:, AT_START)
+        if (par%closure == MOBILISED) call adjoint_friction(par, inc, step, shared, at(i)%excess(:, AT_END), f(i))
       end do
     end if
   end subroutine adjoint_substep
@@ -171,7 +186,7 @@ contains
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(out) :: shared
     real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before, inverse_y
-    real(dp), dimension(LANES) :: t, decay, power
+    real(dp), dimension(LANES) :: t, decay, power, kernels
     real(dp) :: needed(LANES, 0:MAX_TERMS)               ! 1 where a lane needs the term, else 0
     real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
     integer :: i, k, m
@@ -200,20 +215,27 @@ contains
       do i = 1, N_NODES
         kernel(:, i) = step%integrals(:, i, m) * step%growth(:, i) * step%dt(:, i) * decay
       end do
+      kernels = 0
       shared%by_mod_S(:, m) = 0
       shared%by_mod_D(:, m) = -t * step%excess(:, m)
       shared%by_tr_D(:, m) = 0
       shared%by_log_phi(:, m) = 0
       do i = 1, N_NODES
-        shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i)
+        kernels = kernels + kernel(:, i)
+        shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i) * step%mobilised(:, i)
         shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + step%integrals(:, i, m) * decay * step%t(:, i) * step%integrand(:, i) &
           + kernel(:, i) * f(:, i)
         shared%by_tr_D(:, m) = shared%by_tr_D(:, m) - kernel(:, i) * f_slope(:, i) * step%t(:, i)
         shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
       end do
-      shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
+      shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * kernels)
       shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
       shared%by_mod_D(:, m) = par%d2 * step%share * shared%by_mod_D(:, m)
+      if (par%closure == MOBILISED) then
+        do i = 1, N_NODES
+          shared%by_mobilised(:, i) = merge(-par%d1 * par%chi * magnitude(step%S) * kernel(:, i), 0.0_dp, step%mobilised(:, i) > 0)
+        end do
+      end if
       power = 1
       do k = 0, shared%terms
         shared%weight(:, k, m) = needed(:, k) * power
@@ -265,6 +287,31 @@ contains
     f%mod_D = f%mod_D + par%c2 * step%share * by_decay
     f%w = f%w + times_spin(step%share, by_spin)
   end subroutine adjoint_coordination
+
+  !> The adjoint of the mobilised direction of friction, on which Z2 - Zc depends at the nodes and the stress at the end.
+  pure subroutine adjoint_friction(par, inc, step, shared, by_excess, f)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    type(substep_solution), intent(in) :: step
+    type(shared_derivatives), intent(in) :: shared
+    real(dp), intent(in) :: by_excess(LANES)             ! of the function by Z2 - Zc at the end
+    type(adjoint), intent(inout) :: f
+    real(dp) :: g(LANES, 5, 0:MAX_POWER), by_S_hat(LANES, 5), by_mod_D(LANES), by_spin(LANES, 3), weight(LANES, N_NODES)
+    integer :: i, k
+
+    do i = 1, N_NODES
+      weight(:, i) = by_excess * shared%by_mobilised(:, i) / 2       ! of M : S^ at the node
+      f%S_hat = f%S_hat + times(weight(:, i), step%M(:, :, i))
+    end do
+    do k = 0, step%mobilisation%terms
+      g(:, :, k) = f%M + times(sum(weight, 2), inc%S_hat)
+      weight = weight * step%t
+    end do
+    call adjoint_mobilisation(par, step%mobilisation, inc%S_hat, step%mod_D, step%w, g, f%M, by_S_hat, by_mod_D, by_spin)
+    f%S_hat = f%S_hat + by_S_hat
+    f%mod_D = f%mod_D + step%share * by_mod_D
+    f%w = f%w + times_spin(step%share, by_spin)
+  end subroutine adjoint_friction
 
   !> The adjoint of the critical-state closure, A = lambda S^ and Z2 = f(phi).
   pure subroutine adjoint_critical_state(par, step, first, last, at, f)

@@ -6,12 +6,12 @@ module granumat_update
   use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, FABRIC_BLOWS_UP, TENSILE_PRESSURE, RESULT_NOT_FINITE
   use granumat_increment, only: increment, to_increment
-  use granumat_parameters, only: material_parameters
+  use granumat_parameters, only: material_parameters, MOBILISED
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable
   use granumat_stress, only: pressure, pressure_factor
   use granumat_substeps, only: integrate, internal_state, substep_record
   use granumat_tangent, only: N_COLUMNS, consistent_tangent
-  use granumat_tensors, only: add_identity, deviator, rotate, rotation, to_voigt
+  use granumat_tensors, only: add_identity, deviator, rotate, rotation, to_voigt, trace
   implicit none (type, external)
   private
   public :: update, status_before, to_internal, to_state, complete, rotated
@@ -21,7 +21,7 @@ module granumat_update
 contains
 
   !> Brings states over their strain increments. Where the status is not OK, the new state is the old one and the tangent is 0.
-  pure subroutine update(par, old, strain, spin, new, status, n_adjoints, tangent)
+  pure subroutine update(par, old, strain, spin, new, status, n_adjoints, tangent, unloads)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)    ! increments: 11 22 33 and engineering shears 12 13 23
@@ -30,15 +30,19 @@ contains
     integer, intent(out) :: status(LANES)
     integer, intent(in), optional :: n_adjoints            ! 1 ... 6: of the pressure, and of the deviator's first components
     real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS)    ! d stress_i / d (strain_j, spin_j)
+    logical, intent(in), optional :: unloads               ! the tangent at D = 0 is that of a strain against the last direction
     type(increment) :: inc
     logical :: moves(LANES)
+    real(dp) :: probe
     integer :: i
 
     status = status_before(old, strain, spin)
     call to_increment(strain, spin, status == OK, inc)
     moves = inc%mod_D > 0
     if (present(tangent)) then
-      if (.not. all(moves)) call to_increment(strain_or_probe(old, strain, moves), spin, status == OK, inc)
+      probe = PROBE_STRAIN
+      if (present(unloads)) probe = merge(-PROBE_STRAIN, PROBE_STRAIN, unloads)
+      if (.not. all(moves)) call to_increment(strain_or_probe(old, strain, moves, probe), spin, status == OK, inc)
       call deform(par, old, inc, new, status, n_adjoints, tangent)
     else
       call deform(par, old, inc, new, status)
@@ -60,10 +64,11 @@ contains
   end function status_before
 
   !> The strain; where there is none, a small one along the last direction, or isotropic compression before any strain.
-  pure function strain_or_probe(old, strain, moves) result(probed)
+  pure function strain_or_probe(old, strain, moves, probe) result(probed)
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)
     logical, intent(in) :: moves(LANES)
+    real(dp), intent(in) :: probe                 ! |D| of the small strain, negative for one against the last direction
     real(dp) :: probed(LANES, 6), direction(LANES)
     logical :: fresh(LANES)
     integer :: k
@@ -71,9 +76,9 @@ contains
     fresh = sum(abs(old%direction), 2) <= 0
     do k = 1, 6
       direction = old%direction(:, k)
-      if (k <= 3) direction = merge(-sqrt(2.0_dp / 3), direction, fresh)
+      if (k <= 3) direction = merge(-sign(sqrt(2.0_dp / 3), probe), direction, fresh)
       if (k > 3) direction = 2 * direction                             ! engineering shears
-      probed(:, k) = merge(strain(:, k), PROBE_STRAIN * direction, moves)
+      probed(:, k) = merge(strain(:, k), probe * direction, moves)
     end do
   end function strain_or_probe
 
@@ -95,7 +100,7 @@ contains
     record%all_wanted = present(tangent)
     call integrate(par, inc, new%volume_fraction, x, status, record)
     if (present(tangent)) call consistent_tangent(par, inc, x, record, n_adjoints, tangent)
-    call to_state(par, inc, x, new, status)
+    call to_state(par, old, inc, x, new, status)
   end subroutine deform
 
   !> What evolves, from states.
@@ -107,11 +112,13 @@ contains
     x%excess = old%coordination_number - par%Zc
     x%phi = old%volume_fraction
     x%dev = deviator(old%stress)
+    x%M = deviator(old%direction)
   end subroutine to_internal
 
   !> States from what has evolved, all but the volume fraction, and whether they are admissible.
-  pure subroutine to_state(par, inc, x, new, status)
+  pure subroutine to_state(par, old, inc, x, new, status)
     type(material_parameters), intent(in) :: par
+    type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     type(internal_state), intent(in) :: x
     type(lane_state), intent(inout) :: new
@@ -124,8 +131,18 @@ contains
     where (status == OK .and. .not. is_realisable(new%fabric)) status = FABRIC_BLOWS_UP
     new%coordination_number = par%Zc + x%excess
     new%direction = inc%direction
+    if (par%closure == MOBILISED) new%direction = add_identity(to_voigt(x%M), followed_trace(par, old, inc) / 3)
     new%stress = add_identity(to_voigt(x%dev), -pressure(par, factor, x%excess))
   end subroutine to_state
+
+  !> The trace of the direction where that follows D^ over the strain e_r, as its deviator M does.
+  pure function followed_trace(par, old, inc) result(tr)
+    type(material_parameters), intent(in) :: par
+    type(lane_state), intent(in) :: old
+    type(increment), intent(in) :: inc
+    real(dp) :: tr(LANES)
+    tr = inc%tr_direction + exp(-inc%mod_D / par%elastic_strain) * (trace(old%direction) - inc%tr_direction)
+  end function followed_trace
 
   !> Completes new states: those where D = 0, and those where the update failed, which stay the old ones.
   pure subroutine complete(old, spin, moves, new, status)

@@ -2,7 +2,7 @@
 module granumat_starts
   use granumat_kinds, only: dp, LANES
   use granumat_law, only: volume_fraction_of
-  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
+  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN, MOBILISED
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_INITIAL_STATE
   use granumat_stress, only: evaluate
@@ -14,6 +14,7 @@ module granumat_starts
   real(dp), parameter :: LARGEST_COORDINATION = 12    ! spheres that fit around one; beyond, the pressure is in other units
   real(dp), parameter :: STEADY_DECAYS = 39           ! exp(-39) is below round-off: Z2 decays by exp(-d2 |D|), A faster
   real(dp), parameter :: SLOWEST_DECAY = 1            ! smallest d2 for which the strain that leads to a steady state grows as 1/d2
+  real(dp), parameter :: LONGEST_PART = 1000            ! of that strain over e_r, where substeps grow in number with this ratio
 
 contains
 
@@ -61,16 +62,21 @@ contains
     type(material_state) :: found(1)
     type(lane_state) :: start, end
     real(dp) :: gamma, strain(LANES, 6), spin(LANES, 3)
-    integer :: lane_status(LANES)
+    integer :: lane_status(LANES), part, parts
 
     x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=phi)
     gamma = 2 * STEADY_DECAYS / max(par%d2, SLOWEST_DECAY)
+    parts = 1
+    if (par%closure == MOBILISED) parts = ceiling(gamma / (LONGEST_PART * par%elastic_strain))
     strain = 0
-    strain(:, 5) = gamma
+    strain(:, 5) = gamma / parts
     spin = 0
-    spin(:, 2) = gamma / 2
-    call gather([x], start)
-    call update(par, start, strain, spin, end, lane_status)
+    spin(:, 2) = gamma / parts / 2
+    call gather([x], end)
+    do part = 1, parts
+      start = end
+      call update(par, start, strain, spin, end, lane_status)
+    end do
     call scatter(end, found)
     x = found(1)
     status = lane_status(1)

@@ -10,7 +10,7 @@ module granumat_umat
     PLANE_STRESS, STRAIN_TOO_LARGE, status_message
   use granumat_law, only: excess_target
   use granumat_matrices, only: gradient_logarithm, polar_rotation, rotation_logarithm
-  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, FIGURE_16, HERTZIAN, KINEMATIC
+  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, FIGURE_16, HERTZIAN, MOBILISED
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_starts, only: excess_under, isotropic_state
   use granumat_tangent, only: N_COLUMNS, N_ADJOINTS_3D, N_ADJOINTS_PLANE
@@ -23,9 +23,9 @@ module granumat_umat
   ! What each number of PROPS and STATEV is. docs/umat.md and the decks repeat this table, a test compares them.
   integer, parameter :: P_MU = 1                !! interparticle friction coefficient, 0 to 1
   integer, parameter :: P_STIFFNESS = 2         !! stress unit: k/d (Hookean), k_Hz (Hertzian)
-  integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic
+  integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic, 5 mobilised
   integer, parameter :: P_CONTACT = 4           !! 0 Hookean, 1 Hertzian
-  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress deviator relaxes; 0: the paper
+  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress, or in closure 5 friction, adapts; 0: the paper
   integer, parameter :: P_PHI = 6               !! initial volume fraction
   integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
   integer, parameter :: P_SPIN = 8              !! 0 none, 1 DROT, 2 DFGRD; 3 as 2, STRESS unrotated; 4 as 3, DDSDDE for CalculiX
@@ -42,16 +42,16 @@ module granumat_umat
     character(len=14) :: name
     real(dp) :: least, most
     logical :: whole
-    character(len=21) :: allowed                !! in words
+    character(len=32) :: allowed                !! in words
     character(len=6) :: unit                    !! as hosts of user-defined soil models write it
   end type property
 
   type(property), parameter, public :: PROPERTIES(N_PROPS) = [ &
     property("mu",             0.0_dp,       1.0_dp,                      .false., "0 to 1",                "-"), &
     property("stiffness",      tiny(1.0_dp), huge(1.0_dp),                .false., "above 0",               "F/L^2#"), &
-    property("closure",        0.0_dp,       real(KINEMATIC, dp),         .true.,  "0, 1, 2, 3 or 4",       "-"), &
+    property("closure",        0.0_dp,       real(MOBILISED, dp),         .true.,  "0, 1, 2, 3, 4 or 5",    "-"), &
     property("contact",        0.0_dp,       real(HERTZIAN, dp),          .true.,  "0 or 1",                "-"), &
-    property("elastic_strain", 0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "-"), &
+    property("elastic_strain", 0.0_dp,       huge(1.0_dp),                .false., "at least 0, in closure 5 above 0", "-"), &
     property("phi",            tiny(1.0_dp), 1 - epsilon(1.0_dp),         .false., "between 0 and 1",       "-"), &
     property("pressure",       0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "F/L^2#"), &
     property("spin",           0.0_dp,       real(SPIN_CALCULIX, dp),     .true.,  "0, 1, 2, 3 or 4",       "-"), &
@@ -62,7 +62,7 @@ module granumat_umat
   integer, parameter :: S_FABRIC = 2            !! A 11 22 33 12 13 23
   integer, parameter :: S_COORDINATION = 8      !! Z2
   integer, parameter :: S_PHI = 9               !! volume fraction
-  integer, parameter :: S_DIRECTION = 10        !! D/abs(D) of the last strain, 11 22 33 12 13 23
+  integer, parameter :: S_DIRECTION = 10        !! D/abs(D) of the last strain, in closure 5 followed over e_r, 11 22 33 12 13 23
   integer, parameter :: S_STRESS = 16           !! stress over the stress unit, 11 22 33 12 13 23
   integer, parameter :: S_WORK = 22             !! integral of stress : strain, in the unit of stress (trapezoidal rule)
   integer, parameter :: S_STATUS = 23           !! 0 done, else why the last call failed
@@ -115,14 +115,12 @@ contains
     if (status == OK) then
       unloads = par%elastic_strain > 0 .and. all(abs(strain) <= 0)
       call gather([old], x)
-      if (unloads) x%direction = -x%direction
       call update(par, x, spread(strain, 1, LANES), spread(spin, 1, LANES), x_new, lane_status, &
-        merge(N_ADJOINTS_PLANE, N_ADJOINTS_3D, n == 4), tangent)
+        merge(N_ADJOINTS_PLANE, N_ADJOINTS_3D, n == 4), tangent, unloads)
       slope = tangent(1, :, :6)
       status = lane_status(1)
     end if
     if (status == OK) then
-      if (unloads) x_new%direction = -x_new%direction
       call scatter(x_new, new)
       if (.not. statev(S_SENTINEL) > 0) statev(S_WORK) = 0
       statev(S_WORK) = statev(S_WORK) + given(P_STIFFNESS) * dot_product(old%stress + new(1)%stress, strain) / 2
@@ -195,6 +193,7 @@ contains
       faulty(i) = .not. (given(i) >= PROPERTIES(i)%least .and. given(i) <= PROPERTIES(i)%most)
       if (.not. faulty(i)) faulty(i) = PROPERTIES(i)%whole .and. abs(given(i) - anint(given(i))) > 0
     end do
+    if (abs(given(P_CLOSURE) - MOBILISED) <= 0 .and. .not. given(P_ELASTIC_STRAIN) > 0) faulty(P_ELASTIC_STRAIN) = .true.
   end function at_fault
 
   pure function layout_status(ntens, nstatv) result(status)
@@ -300,7 +299,8 @@ contains
     statev(S_PHI) = x%volume_fraction
   end subroutine write_state
 
-  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept.
+  !> An isotropic packing: Z2 from the pressure (4.2), (4.4), or f(phi) (4.9); the deviator of the STRESS handed in is kept. In the
+  !! closure in which it is a function of the state, friction is mobilised so far as it needs and is at hand.
   pure subroutine start(par, given, stress, x, status)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: given(N_PROPS), stress(:)
@@ -319,7 +319,23 @@ contains
     if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
     x%stress = x%stress + handed
     x%stress(:3) = x%stress(:3) - sum(handed(:3)) / 3
+    if (par%closure == MOBILISED) call mobilise(par, x)
   end subroutine start
+
+  !> Gives an isotropic packing the direction of friction which its deviatoric stress asks for, of magnitude 1 at most.
+  pure subroutine mobilise(par, x)
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(inout) :: x
+    real(dp) :: p, dev(6), largest
+
+    p = -sum(x%stress(:3)) / 3
+    dev = x%stress
+    dev(:3) = dev(:3) + p
+    largest = max(p * par%b1, norm2([dev(:3) / sqrt(2.0_dp), dev(4:)]))
+    if (largest > 0) x%direction = dev / largest
+    x%stress = p * par%b1 * x%direction
+    x%stress(:3) = x%stress(:3) - p
+  end subroutine mobilise
 
   !> Says on unit 6 why a call failed, each reason once. Threads that fail at the same time may both say it.
   subroutine speak(face, status, props, ntens, nstatv)

@@ -10,7 +10,7 @@ module granumat_law
   implicit none (type, external)
   private
   public :: fabric_rate, linear_fabric_rate, coordination_rate, excess_target, excess_target_slope, &
-    volume_fraction_of, relaxation_rate, critical_state
+    volume_fraction_of, relaxation_rate, mobilised_share, critical_state
 
 contains
 
@@ -31,7 +31,8 @@ contains
     dot_B = corotate(w, B) + times(par%c1 * y, S) + times(par%c2 * mod_D, B)
   end function linear_fabric_rate
 
-  !> (4.8): dZ2/dt = d1 (A : S - chi |S|) + d2 |D| (f - Z2) + d3 tr D, with f - Z2 as `missing`.
+  !> (4.8): dZ2/dt = d1 (A : S - chi |S|) + d2 |D| (f - Z2) + d3 tr D, with f - Z2 as `missing`; m |S| for |S| where friction
+  !! turns.
   pure function coordination_rate(par, A_S, mod_S, mod_D, missing, tr_D) result(dot_Z2)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in), dimension(LANES) :: A_S, mod_S, mod_D, missing, tr_D
@@ -66,13 +67,20 @@ contains
   end function volume_fraction_of
 
   !> The elastic strain e_r > 0: d sigma'/dt = W sigma' - sigma' W + |D| (sigma'_model - sigma')/e_r. With e_r = 0, the paper,
-  !! sigma' is sigma'_model.
+  !! sigma' is sigma'_model. The mobilised direction M of friction follows S^ in the same way.
   pure function relaxation_rate(par, dev, model, mod_D, w) result(dot_dev)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: dev(LANES, 5), model(LANES, 5), mod_D(LANES), w(LANES, 3)
     real(dp) :: dot_dev(LANES, 5)
     dot_dev = corotate(w, dev) + times(mod_D / par%elastic_strain, model - dev)
   end function relaxation_rate
+
+  !> The mobilised share of friction, max(0, M : S^/2).
+  pure function mobilised_share(M, S_hat) result(share)
+    real(dp), intent(in) :: M(LANES, 5), S_hat(LANES, 5)
+    real(dp) :: share(LANES)
+    share = max(0.0_dp, contract(M, S_hat) / 2)
+  end function mobilised_share
 
   !> The critical-state closure's microstructure: A = lambda S^ (A 9), Z2 = f(phi).
   pure subroutine critical_state(par, S_hat, phi, A, excess)

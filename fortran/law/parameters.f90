@@ -7,7 +7,7 @@ module granumat_parameters
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid
+  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid, deviator_relaxes
 
   !> The numbers of a material; the first N_CONSTANTS are the user's to override, the rest follows from them.
   type, public, bind(c) :: material_parameters
@@ -21,13 +21,13 @@ module granumat_parameters
     real(c_double) :: d1, d2, d3      !! coordination number (4.8)
     real(c_double) :: beta1, beta2    !! f(phi) (4.9)
     real(c_double) :: g               !! isotropic compression (B 1); the paper prints no value
-    real(c_double) :: elastic_strain  !! e_r, strain over which the deviatoric stress relaxes; 0: the paper
+    real(c_double) :: elastic_strain  !! e_r, strain over which the deviatoric stress relaxes, or friction turns; 0: the paper
     real(c_double) :: chi, kappa, lambda   !! steady values (A 7)-(A 9)
     real(c_double) :: fabric_limit    !! |A| below it decays in every flow; above it some flows blow it up
     integer(c_int) :: closure, contact
   end type material_parameters
 
-  integer, parameter, public :: CRITICAL = 0, BASIC = 1, N2 = 2, FULL = 3, KINEMATIC = 4      ! closures
+  integer, parameter, public :: CRITICAL = 0, BASIC = 1, N2 = 2, FULL = 3, KINEMATIC = 4, MOBILISED = 5    ! closures
   integer, parameter, public :: HOOKEAN = 0, HERTZIAN = 1                                     ! contacts
   integer, parameter, public :: TABLE_1 = 0, TEXT = 1, FIGURE_16 = 2                          ! calibrations
 
@@ -102,7 +102,7 @@ contains
       par%a4 = fit(-6.0_dp, -2.0_dp, 6.0_dp)
     end select
     if (closure == BASIC) par%a3 = 0
-    if (closure == KINEMATIC) par%a4 = -2 * par%b2
+    if (closure == KINEMATIC .or. closure == MOBILISED) par%a4 = -2 * par%b2
     if (closure < FULL) par%a4 = 0
     call derive_constants(par)
 
@@ -142,12 +142,19 @@ contains
     faulty = .not. inside
   end function faulty_constants
 
-  !> Whether all constants are in range, what follows from them is finite, and kappa is positive.
+  !> Whether the deviatoric stress is a state that relaxes to the model's; otherwise it is a function of the microstructure.
+  pure function deviator_relaxes(par) result(relaxes)
+    type(material_parameters), intent(in) :: par
+    logical :: relaxes
+    relaxes = par%elastic_strain > 0 .and. par%closure /= MOBILISED
+  end function deviator_relaxes
+
+  !> Whether all constants are in range, what follows from them is finite, kappa is positive, and so is e_r where friction turns.
   pure function are_valid(par) result(valid)
     type(material_parameters), intent(in) :: par
     logical :: valid
     valid = .not. any(faulty_constants(par)) .and. all(abs([par%chi, par%kappa, par%lambda, par%fabric_limit]) <= huge(1.0_dp))
-    if (valid) valid = par%kappa > 0
+    if (valid) valid = par%kappa > 0 .and. (par%closure /= MOBILISED .or. par%elastic_strain > 0)
   end function are_valid
 
 end module granumat_parameters

@@ -11,7 +11,7 @@ module granumat_state
   type, public, bind(c) :: material_state
     real(c_double) :: stress(6)             !! Cauchy stress, tension positive, in units of k/d (or k_Hz)
     real(c_double) :: fabric(6)             !! A (3.1)
-    real(c_double) :: direction(6)          !! D^ = D/|D| of the last strain, 0 before any
+    real(c_double) :: direction(6)          !! D^ = D/|D| of the last strain, 0 before any; or followed over e_r
     real(c_double) :: coordination_number   !! Z2
     real(c_double) :: volume_fraction       !! phi
   end type material_state

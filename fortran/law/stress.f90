@@ -4,12 +4,13 @@
 module granumat_stress
   use granumat_kinds, only: dp, LANES
   use granumat_law, only: critical_state
-  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN
+  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN, MOBILISED
   use granumat_state, only: lane_state
   use granumat_tensors, only: add_identity, contract, deviator, magnitude, product_deviator, product_matrix, times, to_voigt, trace
   implicit none (type, external)
   private
-  public :: evaluate, pressure_factor, pressure, pressure_slopes, friction, stress_deviator, model_deviator, deviator_slopes
+  public :: evaluate, pressure_factor, pressure, pressure_slopes, friction, stress_deviator, model_deviator, deviator_slopes, &
+    mobilised_deviator, mobilised_slopes
 
   !> Slopes of the pressure: dp = A (A : dA) + trace d(tr D^) + excess d(Z2 - Zc).
   type, public :: pressure_derivative
@@ -114,7 +115,31 @@ contains
     end do
   end subroutine deviator_slopes
 
-  !> Gives states the stress of the model in their direction of strain, and eta; in the critical-state closure also A and Z2.
+  !> The deviatoric stress over the pressure where friction has a direction M of its own, tension positive:
+  !!   -sigma' = p [-b1 M - 2 b2 A + (2 a3/lambda) (A A - (2/3) |A|^2 I)].
+  !! Departs from the paper: docs/theory.md, section 11.
+  pure function mobilised_deviator(par, A, M) result(dev_over_p)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 5), M(LANES, 5)
+    real(dp) :: dev_over_p(LANES, 5)
+    dev_over_p = par%b1 * M + 2 * par%b2 * A - par%a3 / par%lambda * product_deviator(A, A)
+  end function mobilised_deviator
+
+  !> The derivatives of mobilised_deviator by A, a symmetric matrix; that by M is b1.
+  pure function mobilised_slopes(par, A) result(by_A)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 5)
+    real(dp) :: by_A(LANES, 5, 5)
+    integer :: i
+
+    by_A = -2 * par%a3 / par%lambda * product_matrix(A)
+    do i = 1, 5
+      by_A(:, i, i) = by_A(:, i, i) + 2 * par%b2
+    end do
+  end function mobilised_slopes
+
+  !> Gives states the stress of the model in their direction of strain, or of friction where that is a state, and eta; in the
+  !! critical-state closure also A and Z2.
   pure subroutine evaluate(par, x, eta)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(inout) :: x
@@ -132,7 +157,11 @@ contains
     end if
     eta = friction(par, A, S_hat)
     p = pressure(par, pressure_factor(par, A, trace(x%direction)), excess)
-    x%stress = add_identity(to_voigt(stress_deviator(par, A, S_hat, p)), -p)
+    if (par%closure == MOBILISED) then
+      x%stress = add_identity(to_voigt(times(p, mobilised_deviator(par, A, S_hat))), -p)
+    else
+      x%stress = add_identity(to_voigt(stress_deviator(par, A, S_hat, p)), -p)
+    end if
   end subroutine evaluate
 
 end module granumat_stress

@@ -4,19 +4,21 @@
 !! and everything is in units of p. The response C is
 !!   e_r = 0: the change of the stress with D;
 !!   e_r > 0: the change with D of the rates d sigma'/dt = |D| (sigma'_model - sigma')/e_r (its spin apart) and dp/dt, the latter
-!!            of (4.2) with (4.7), (4.8).
+!!            of (4.2) with (4.7), (4.8); where friction turns, d sigma'/dt is that of the stress of A, M and Z2.
 !! Q(n) takes v to the traction on n when grad v changes by v n: Q_il = n_j C_ijkl n_k, and for e_r > 0 that of the spin,
 !! ((n . sigma n) I - sigma + (sigma n) n - n (sigma n))/2. For e_r = 0 the pressure is free (the volume is kept by a bulk stiffness
 !! of some 90 p), so v is normal to n and Q is a 2 x 2 matrix.
 module granumat_ellipticity
   use, intrinsic :: ieee_arithmetic, only: ieee_quiet_nan, ieee_value
   use granumat_kinds, only: dp, LANES
-  use granumat_law, only: coordination_rate, excess_target, excess_target_slope, fabric_rate
+  use granumat_law, only: coordination_rate, excess_target, excess_target_slope, fabric_rate, mobilised_share, relaxation_rate
   use granumat_matrices, only: determinant_of => determinant
-  use granumat_parameters, only: material_parameters, CRITICAL
+  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED
   use granumat_state, only: lane_state
-  use granumat_stress, only: evaluate, friction, pressure_derivative, pressure_slopes, deviator_slopes, stress_deviator
-  use granumat_tensors, only: VOIGT, add_identity, contract, deviator, magnitude, product_matrix, times, to_voigt, trace
+  use granumat_stress, only: evaluate, friction, pressure_derivative, pressure_slopes, deviator_slopes, stress_deviator, &
+    mobilised_deviator, mobilised_slopes
+  use granumat_tensors, only: VOIGT, add_identity, contract, deviator, magnitude, product_matrix, safe_magnitude, times, to_voigt, &
+    trace
   implicit none (type, external)
   private
   public :: transverse_modulus, response_of, least_over_normals
@@ -70,6 +72,7 @@ contains
 
     model = x
     call evaluate(par, model, p)
+    if (par%closure == MOBILISED) model%direction = spread(1 / max(safe_magnitude(x%direction), tiny(p)), 2, 6) * x%direction
     p = -trace(model%stress) / 3
     law%isochoric = .not. par%elastic_strain > 0
     law%corotating = 0
@@ -78,7 +81,11 @@ contains
     do k = 1, 6
       E = 0
       E(:, k) = merge(1.0_dp, 0.5_dp, k <= 3)
-      law%C(:, :, k) = change(par, model, deviator(x%stress), E)
+      if (par%closure == MOBILISED) then
+        law%C(:, :, k) = change_where_friction_turns(par, model, deviator(x%direction), E)
+      else
+        law%C(:, :, k) = change(par, model, deviator(x%stress), E)
+      end if
       do i = 1, 6
         where (undefined) law%C(:, i, k) = ieee_value(1.0_dp, ieee_quiet_nan)
       end do
@@ -118,17 +125,42 @@ contains
     end do
     if (par%elastic_strain > 0) then
       d_dev = (d_dev + times(d_mod / max(p, tiny(p)), deviator(model%stress) - dev)) / par%elastic_strain
-      d_p = pressure_rate_change(par, model, d_mod, E) / max(p, tiny(p))
+      d_p = pressure_rate_change(par, model, S_hat, d_mod, E) / max(p, tiny(p))
     end if
     d_stress = add_identity(to_voigt(d_dev), -d_p)
   end function change
 
+  !> C : E in the closure where friction has a direction M of its own: of the rate of p mobilised_deviator(A, M).
+  pure function change_where_friction_turns(par, model, M, E) result(d_stress)
+    type(material_parameters), intent(in) :: par
+    type(lane_state), intent(in) :: model            ! with the model's stress, and M made a direction of magnitude 1
+    real(dp), intent(in) :: M(LANES, 5), E(LANES, 6)
+    real(dp) :: d_stress(LANES, 6), by_A(LANES, 5, 5), no_spin(LANES, 3)
+    real(dp), dimension(LANES, 5) :: A, d_A, d_dev
+    real(dp), dimension(LANES) :: d_mod, d_p, one
+    integer :: k
+
+    one = 1
+    no_spin = 0
+    A = deviator(model%fabric)
+    d_mod = (sum(model%direction(:, :3) * E(:, :3), 2) + 2 * sum(model%direction(:, 4:) * E(:, 4:), 2)) / 2         ! of |D|
+    d_p = pressure_rate_change(par, model, M, d_mod, E) / max(-trace(model%stress) / 3, tiny(one))
+    d_A = fabric_rate(par, A, deviator(E), d_mod, no_spin)
+    d_dev = times(d_p, mobilised_deviator(par, A, M)) &
+      + par%b1 * relaxation_rate(par, times(d_mod, M), deviator(E), one, no_spin)
+    by_A = mobilised_slopes(par, A)
+    do k = 1, 5
+      d_dev = d_dev + times(d_A(:, k), by_A(:, :, k))
+    end do
+    d_stress = add_identity(to_voigt(d_dev), -d_p)
+  end function change_where_friction_turns
+
   !> Change of dp/dt when D changes by E, from (4.2), (4.7), (4.8); g's part, a jump of p and not a rate, is left out.
-  pure function pressure_rate_change(par, model, d_mod, E) result(d_dot_p)
+  pure function pressure_rate_change(par, model, M, d_mod, E) result(d_dot_p)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: model
-    real(dp), intent(in) :: d_mod(LANES), E(LANES, 6)
-    real(dp), dimension(LANES) :: d_dot_p, distance, excess, missing, d_mod_S, d_dot_Z2
+    real(dp), intent(in) :: M(LANES, 5), d_mod(LANES), E(LANES, 6)
+    real(dp), dimension(LANES) :: d_dot_p, distance, excess, missing, mod_S, d_mod_S, d_dot_Z2, share
     real(dp), dimension(LANES, 5) :: A, S_hat, d_S, d_dot_A
     real(dp) :: no_spin(LANES, 3)
     type(pressure_derivative) :: by
@@ -144,7 +176,12 @@ contains
       d_S = deviator(E)
       no_spin = 0
       d_dot_A = fabric_rate(par, A, d_S, d_mod, no_spin)                 ! the rates are linear in S, |S|, |D| and tr D
-      d_mod_S = contract(S_hat, d_S) / (2 * max(magnitude(S_hat), tiny(d_mod)))
+      mod_S = magnitude(S_hat)
+      d_mod_S = contract(S_hat, d_S) / (2 * max(mod_S, tiny(d_mod)))
+      if (par%closure == MOBILISED) then               ! of m |S| = (M : S) |S|/(2 |D|), where that is positive
+        share = mobilised_share(M, S_hat)
+        d_mod_S = merge(contract(M, d_S) / 2 * mod_S + share * (d_mod_S - mod_S * d_mod), 0.0_dp, share > 0)
+      end if
       missing = excess_target(par, distance) - excess
       d_dot_Z2 = coordination_rate(par, contract(A, d_S), d_mod_S, d_mod, missing, trace(E))
     end if

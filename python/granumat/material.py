@@ -17,7 +17,7 @@ from .errors import MaterialError
 States = TypeVar("States", np.record, np.recarray, np.ndarray)     # of dtype STATE: one point's, or an array of any shape
 
 # Positions in these lists are the core's codes.
-CLOSURES = ("critical", "basic", "n2", "full", "kinematic")
+CLOSURES = ("critical", "basic", "n2", "full", "kinematic", "mobilised")
 CONTACTS = ("hookean", "hertzian")
 CALIBRATIONS = ("table-1", "text", "figure-16")
 FRICTIONS = ("linear", "quadratic")
@@ -27,6 +27,7 @@ SPINS = ("inside", "before")
 # Constants that have no role in a closure.
 UNUSED = {
     "critical": ("a4", "d1", "d2", "d3"), "basic": ("a3", "a4"), "n2": ("a4",), "full": (), "kinematic": ("a4",),
+    "mobilised": ("a4", "b3"),
 }
 
 RANGES = core.constant_ranges()
@@ -35,6 +36,7 @@ DERIVED = ("chi", "kappa", "lambda", "fabric_limit")    # (A 7)-(A 9), and abs(A
 
 STEADY_DECAYS = 39.0    # exp(-39) is below round-off; Z2 decays by exp(-d2 s), s half the shear strain, the fabric faster
 SLOWEST_DECAY = 1.0     # smallest d2 for which the strain that leads to a steady state grows as 1/d2
+LONGEST_PART = 1000.0   # of that strain over e_r, where substeps grow in number with this ratio
 
 TRACE_TOLERANCE = 1e-12         # of a fabric that counts as traceless
 DIRECTION_TOLERANCE = 1e-9      # of a direction's magnitude 1
@@ -86,8 +88,8 @@ class Material:
     mu : float
         Interparticle friction coefficient, 0 to 1; the other constants follow from it.
     closure : str
-        Equation of the deviatoric stress: "critical" (A 10)-(A 12), "basic" (4.1), "n2" (A 1), "full" (A 4) or "kinematic", which
-        is (A 4) with a4 = -2 b2.
+        Equation of the deviatoric stress: "critical" (A 10)-(A 12), "basic" (4.1), "n2" (A 1), "full" (A 4), "kinematic", which
+        is (A 4) with a4 = -2 b2, or "mobilised", in which friction follows the direction of shearing over the elastic strain.
     contact : str
         Equation of the pressure: "hookean" (4.2) or "hertzian" (4.4).
     friction : str
@@ -98,6 +100,7 @@ class Material:
         calibration file, which ends in ".toml", whose constants take the place of table 1's.
     elastic_strain : float
         e_r, the strain over which the deviatoric stress relaxes to the model's; with 0, the paper's law, it is the model's at once.
+        In the closure "mobilised", which needs one, the strain over which friction turns; 0.005 to 0.02 in discrete-element runs.
     method : str
         How increments are integrated: "exact", or, to compare with it, "forward-euler", "midpoint" (explicit), "rk4" or
         "backward-euler" in one step per increment, or "bogacki-shampine" in substeps whose error is estimated.
@@ -172,12 +175,14 @@ class Material:
         names = list(RANGES)
         for name, value in values.items():
             par[names.index(name)] = value
-        if closure == "kinematic":
+        if closure in ("kinematic", "mobilised"):
             par[names.index("a4")] = -2 * par[names.index("b2")]
         faulty, valid = core.complete_parameters(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
-        if not faulty.any() and not valid[0]:
+        mobilised_faults = _mobilised_faults(values.get("elastic_strain"), method) if closure == "mobilised" else []
+        faults += mobilised_faults
+        if not faulty.any() and not valid[0] and not mobilised_faults:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
@@ -236,7 +241,8 @@ class Material:
         fabric : array (6,) or (3, 3), optional
             A (3.1), the default is 0: traceless, eigenvalues of A + I/3 in [0, 1], abs(A) below `fabric_limit`.
         direction : array (6,) or (3, 3), optional
-            D/abs(D) of the last strain, of magnitude 1; the default 0 stands for no strain yet.
+            D/abs(D) of the last strain, of magnitude 1; the default 0 stands for no strain yet. In the closure "mobilised" it
+            follows D/abs(D) over the elastic strain, its deviator is the direction of friction, and its magnitude is at most 1.
         stress : array (6,) or (3, 3), optional
             Cauchy stress in k/d (k_Hz for Hertzian contacts), tension positive; the default is the model's.
 
@@ -264,7 +270,9 @@ class Material:
                 state[name] = _components(name, tensor, faults)
         faults += self._fabric_faults(state["fabric"][0])
         size = tensors.magnitude(state["direction"][0])
-        if not (size == 0 or abs(size - 1) < DIRECTION_TOLERANCE):
+        if self.closure == "mobilised" and not size < 1 + DIRECTION_TOLERANCE:
+            faults.append(f"direction: its magnitude is {size:g}, must be at most 1")
+        elif self.closure != "mobilised" and not (size == 0 or abs(size - 1) < DIRECTION_TOLERANCE):
             faults.append(f"direction: its magnitude is {size:g}, must be 1, or 0 before any strain")
         refuse("the state is not admissible", faults)
         if stress is None:
@@ -408,10 +416,16 @@ class Material:
         -------
         record of dtype STATE
         """
+        parts = 1
+        if self.closure == "mobilised":
+            parts = int(np.ceil(self.steady_strain / (LONGEST_PART * self["elastic_strain"])))
         gradient = np.zeros((3, 3))
-        gradient[0, 2] = self.steady_strain
+        gradient[0, 2] = self.steady_strain / parts
         exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
-        return exact.update(exact.state(volume_fraction, self["Zc"]), gradient)
+        state = exact.state(volume_fraction, self["Zc"])
+        for _ in range(parts):
+            state = exact.update(state, gradient)
+        return state
 
     # ---- increments ------------------------------------------------------------------------------------------------
 
@@ -562,6 +576,7 @@ class Material:
         - e_r = 0: C = d sigma/dD, which is homogeneous of degree -1 in D, so that C:D = 0. p depends on D only through g.
         - e_r > 0: C = d(d sigma/dt)/dD with d sigma'/dt = abs(D) (sigma'_model(D^) - sigma')/e_r and dp/dt from (4.2), (4.7),
           (4.8); homogeneous of degree 0, so that C:D is the rate of stress. The jump of p with g tr D^ is left out.
+        - in the closure "mobilised" the same of the stress that A, M, Z2 have, with D along the direction of friction.
 
         Parameters
         ----------
@@ -637,6 +652,16 @@ class Material:
         """
         start = np.array(state, STATE).reshape(1)
         return core.follow_path(self._par, self._scheme, start, gradients, modes, functionals, targets, tolerance)
+
+
+def _mobilised_faults(elastic_strain: float | None, method: str) -> list[str]:
+    """What the closure "mobilised" does not allow, in words."""
+    faults = []
+    if elastic_strain == 0:
+        faults.append("elastic_strain = 0: the closure 'mobilised' needs one above 0, the strain over which friction turns")
+    if method != "exact" and method in METHODS:
+        faults.append(f"method {method!r}: the closure 'mobilised' is integrated by the method 'exact' only")
+    return faults
 
 
 def _usable_threads(threads: int, points: int) -> int:

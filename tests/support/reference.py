@@ -5,6 +5,8 @@ Full 3 x 3 tensors, compression-positive stress, the rate form as printed (spec:
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.optimize import brentq
 
 
 def constants(mu, closure="full"):
@@ -18,7 +20,7 @@ def constants(mu, closure="full"):
     }
     if closure == "basic":
         c["a3"] = 0.0
-    if closure == "kinematic":
+    if closure in ("kinematic", "mobilised"):
         c["a4"] = -2 * c["b2"]
     if closure in ("basic", "n2"):
         c["a4"] = 0.0
@@ -112,6 +114,60 @@ def integrate(c, fabric, z2, phi, gradient, deviator=None, contact="hookean", rt
     a, z, ph = y[:, :9].reshape(n, 3, 3), y[:, 9], y[:, 10]
     p, model = model_stress(c, a, z, gradient, contact)
     return a, z, ph, p, (y[:, 11:20].reshape(n, 3, 3) if relaxing else model)
+
+
+def first_corner(direction, w, s_hat, ratio):
+    """The time in (0, 1) at which M:S^ first changes its sign, by a matrix exponential; 1 if it does not."""
+    turn = np.kron(w, np.eye(3)) + np.kron(np.eye(3), w) - ratio * np.eye(9)                      # of the nine components of M
+    system = np.zeros((10, 10))
+    system[:9, :9], system[:9, 9] = turn, ratio * s_hat.ravel()
+    start = np.append(direction, 1)
+
+    def projection(t):
+        return s_hat.ravel() @ (expm(t * system) @ start)[:9]
+
+    times = np.linspace(0, 1, 41)
+    values = [projection(t) for t in times]
+    for k in range(40):
+        if values[k] * values[k + 1] < 0:
+            return brentq(projection, times[k], times[k + 1], xtol=1e-16, rtol=1e-15)
+    return 1.0
+
+
+def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookean", rtol=1e-13):
+    """As `integrate`, in the closure "mobilised": also takes and returns the mobilised direction M (n, 3, 3), before p and sigma'.
+
+    phi may not cross phic. The clock of every point stands at 1 where its M:S^ first changes its sign, a corner of the rates.
+    """
+    n = len(gradient)
+    _, w, s, mod_d, mod_s, tr = parts(gradient)
+    chi = -(c["c2"] + np.sqrt(c["c2"]**2 - 8 * c["c1"] * c["c3"])) / (2 * c["c3"])
+    slow = -c["c1"] / (c["c2"] + c["c3"] * chi)                                                        # lambda (A 9)
+    s_hat = scale(1 / mod_d, s)
+
+    def rate(_, y):
+        a, m, z, ph = np.split(y.reshape(n, 20), (9, 18, 19), axis=1)
+        a, m, z, ph = a.reshape(n, 3, 3), m.reshape(n, 3, 3), z[:, 0], ph[:, 0]
+        a_s = double_dot(a, s)
+        dot_a = w @ a - a @ w + c["c1"] * s + scale(c["c2"] * mod_d, a) + scale(c["c3"] * a_s, a)
+        dot_m = w @ m - m @ w + scale(mod_d / c["elastic_strain"], s_hat - m)
+        share = np.maximum(double_dot(m, s_hat) / 2, 0)
+        f = c["Zc"] + c["beta1"] * np.maximum(ph - c["phic"], 0) ** c["beta2"]
+        dot_z = c["d1"] * (a_s - chi * share * mod_s) + c["d2"] * mod_d * (f - z) + c["d3"] * tr
+        return np.column_stack([dot_a.reshape(n, 9), dot_m.reshape(n, 9), dot_z, -ph * tr]).ravel()
+
+    corner = np.array([first_corner(*point) for point in zip(direction, w, s_hat, mod_d / c["elastic_strain"])])[:, None]
+    y = np.column_stack([np.reshape(fabric, (n, 9)), np.reshape(direction, (n, 9)), z2, phi]).ravel()
+    for share in (corner, 1 - corner):
+        solution = solve_ivp(lambda t, y, share=share: (share * rate(t, y).reshape(n, 20)).ravel(), (0, 1), y,
+                             method="DOP853", rtol=rtol, atol=rtol * 1e-2)
+        assert solution.success, solution.message
+        y = solution.y[:, -1]
+    a, m, z, ph = np.split(y.reshape(n, 20), (9, 18, 19), axis=1)
+    a, m, z, ph = a.reshape(n, 3, 3), m.reshape(n, 3, 3), z[:, 0], ph[:, 0]
+    p, _ = model_stress(c, a, z, gradient, contact)
+    ratio = -c["b1"] * m - 2 * c["b2"] * a + 2 * c["a3"] / slow * (a @ a - scale(double_dot(a, a) / 3, np.eye(3)))
+    return a, z, ph, m, p, scale(p, ratio)
 
 
 def random_increments(rng, n, mu, shear, spin=3.0, volume=0.5, margin=0.005, excess=(0.2, 1.2)):

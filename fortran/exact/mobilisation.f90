@@ -1,0 +1,141 @@
+!> The mobilised direction of friction under a constant velocity gradient, solved exactly (docs/theory.md, section 11).
+!!
+!! M' = W M - M W + |D|/e_r (S^ - M) is linear with constant coefficients. The Taylor series of its solution, M = sum_k M_k t^k,
+!! gives M anywhere in the increment, 0 <= t <= 1.
+module granumat_mobilisation
+  use granumat_kinds, only: dp, LANES
+  use granumat_law, only: relaxation_rate
+  use granumat_parameters, only: material_parameters
+  use granumat_quadrature, only: N_NODES, NODE
+  use granumat_tensors, only: contract, corotate, rotation_angle, spin_derivative, times
+  implicit none (type, external)
+  private
+  public :: solve_mobilisation, adjoint_mobilisation, direction_at, share_to_kink
+
+  integer, parameter, public :: MAX_POWER = 20
+  real(dp), parameter :: SERIES_TOLERANCE = 1.0e-17_dp   ! bound of the first neglected term: below round-off, as |M| <= 1
+  real(dp), parameter :: AT_KINK = 1.0e-12_dp            ! |M : S^| of a substep that starts where the one before was cut
+  integer, parameter :: BISECTIONS = 52                  ! of the interval in which a kink is looked for, down to round-off
+
+  !> The coefficients of M.
+  type, public :: mobilisation_solution
+    real(dp) :: M(LANES, 5, 0:MAX_POWER)
+    real(dp) :: factor(LANES, MAX_POWER)       !! 1/k; 0 from the term on that a lane does not need
+    integer :: terms
+  end type mobilisation_solution
+
+contains
+
+  !> Solves for M over one increment, to round-off for |D|/e_r and twice the angle of the spin of at most 1 together.
+  pure subroutine solve_mobilisation(par, M, S_hat, mod_D, w, solution)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: M(LANES, 5)      ! at t = 0
+    real(dp), intent(in) :: S_hat(LANES, 5)
+    real(dp), intent(in) :: mod_D(LANES)     ! |D| of the strain increment
+    real(dp), intent(in) :: w(LANES, 3)      ! spin increment
+    type(mobilisation_solution), intent(out) :: solution
+    real(dp) :: rate(LANES), bound(LANES), target(LANES, 5)
+    integer :: k
+
+    rate = mod_D / par%elastic_strain + 2 * rotation_angle(w)
+    bound = 1
+    target = S_hat
+    solution%M(:, :, 0) = M
+    do k = 1, MAX_POWER
+      solution%factor(:, k) = merge(1.0_dp / k, 0.0_dp, bound >= SERIES_TOLERANCE)
+      solution%M(:, :, k) = times(solution%factor(:, k), relaxation_rate(par, solution%M(:, :, k - 1), target, mod_D, w))
+      solution%terms = k
+      bound = bound * (rate / k)
+      if (all(bound < SERIES_TOLERANCE)) exit
+      target = 0                             ! S^ is constant: it drives the first term only
+    end do
+  end subroutine solve_mobilisation
+
+  !> M at t, by Horner's scheme.
+  pure function direction_at(solution, t) result(M)
+    type(mobilisation_solution), intent(in) :: solution
+    real(dp), intent(in) :: t(LANES)
+    real(dp) :: M(LANES, 5)
+    integer :: k
+
+    M = solution%M(:, :, solution%terms)
+    do k = solution%terms - 1, 0, -1
+      M = times(t, M) + solution%M(:, :, k)
+    end do
+  end function direction_at
+
+  !> The part of a substep up to the first change of sign of M : S^, where the mobilised share has a kink; 1 if there is none.
+  pure function share_to_kink(solution, S_hat) result(share)
+    type(mobilisation_solution), intent(in) :: solution
+    real(dp), intent(in) :: S_hat(LANES, 5)
+    real(dp) :: share(LANES), projection(LANES, 0:MAX_POWER), start, end, low, high
+    real(dp), parameter :: UNTIL(N_NODES + 1) = [NODE, 1.0_dp]
+    integer :: i, j, k, terms
+
+    terms = solution%terms
+    do k = 0, terms
+      projection(:, k) = contract(solution%M(:, :, k), S_hat)
+    end do
+    share = 1
+    lanes_: do i = 1, LANES
+      start = projection(i, 0)
+      low = 0
+      do j = 1, size(UNTIL)
+        high = UNTIL(j)
+        end = value_at(projection(i, :terms), high)
+        if (abs(start) > AT_KINK .and. start * end < 0) then
+          do k = 1, BISECTIONS
+            share(i) = (low + high) / 2
+            if (start * value_at(projection(i, :terms), share(i)) > 0) then
+              low = share(i)
+            else
+              high = share(i)
+            end if
+          end do
+          share(i) = high                    ! on the far side, so that the next substep finds no change of sign at its start
+          cycle lanes_
+        end if
+        start = end
+        low = high
+      end do
+    end do lanes_
+  end function share_to_kink
+
+  pure function value_at(coefficient, t) result(v)
+    real(dp), intent(in) :: coefficient(0:), t
+    real(dp) :: v
+    integer :: k
+
+    v = 0
+    do k = ubound(coefficient, 1), 0, -1
+      v = v * t + coefficient(k)
+    end do
+  end function value_at
+
+  !> The adjoint of the series: derivatives of a sum over k of g_k : M_k by M at the start, S^, |D| and W.
+  !!
+  !! The adjoint q of M_k runs backward, q_(k-1) = (-(W q_k - q_k W) - |D|/e_r q_k)/k + g_(k-1).
+  pure subroutine adjoint_mobilisation(par, solution, S_hat, mod_D, w, g, by_M, by_S_hat, by_mod_D, by_spin)
+    type(material_parameters), intent(in) :: par
+    type(mobilisation_solution), intent(in) :: solution
+    real(dp), intent(in) :: S_hat(LANES, 5), mod_D(LANES), w(LANES, 3)
+    real(dp), intent(in) :: g(LANES, 5, 0:MAX_POWER)
+    real(dp), intent(out) :: by_M(LANES, 5), by_S_hat(LANES, 5), by_mod_D(LANES), by_spin(LANES, 3)
+    real(dp) :: ratio(LANES), q(LANES, 5)
+    integer :: k
+
+    ratio = mod_D / par%elastic_strain
+    by_mod_D = 0
+    by_spin = 0
+    by_M = g(:, :, solution%terms)
+    do k = solution%terms, 1, -1
+      q = times(solution%factor(:, k), by_M)
+      by_mod_D = by_mod_D - contract(q, solution%M(:, :, k - 1))
+      by_spin = by_spin + spin_derivative(q, solution%M(:, :, k - 1))
+      by_M = g(:, :, k - 1) - corotate(w, q) - times(ratio, q)
+    end do
+    by_mod_D = (by_mod_D + contract(q, S_hat)) / par%elastic_strain
+    by_S_hat = times(ratio, q)
+  end subroutine adjoint_mobilisation
+
+end module granumat_mobilisation
