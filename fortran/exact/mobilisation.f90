@@ -4,13 +4,13 @@
 !! gives M anywhere in the increment, 0 <= t <= 1.
 module granumat_mobilisation
   use granumat_kinds, only: dp, LANES
-  use granumat_law, only: relaxation_rate
+  use granumat_law, only: mobilised_share, relaxation_rate
   use granumat_parameters, only: material_parameters
   use granumat_quadrature, only: N_NODES, NODE
   use granumat_tensors, only: contract, corotate, rotation_angle, spin_derivative, times
   implicit none (type, external)
   private
-  public :: solve_mobilisation, adjoint_mobilisation, direction_at, share_to_kink
+  public :: solve_mobilisation, adjoint_mobilisation, direction_at_end, shares_at, share_to_kink
 
   integer, parameter, public :: MAX_POWER = 20
   real(dp), parameter :: SERIES_TOLERANCE = 1.0e-17_dp   ! bound of the first neglected term: below round-off, as |M| <= 1
@@ -51,18 +51,36 @@ contains
     end do
   end subroutine solve_mobilisation
 
-  !> M at t, by Horner's scheme.
-  pure function direction_at(solution, t) result(M)
+  !> M at t = 1.
+  pure function direction_at_end(solution) result(M)
     type(mobilisation_solution), intent(in) :: solution
-    real(dp), intent(in) :: t(LANES)
     real(dp) :: M(LANES, 5)
     integer :: k
 
     M = solution%M(:, :, solution%terms)
     do k = solution%terms - 1, 0, -1
-      M = times(t, M) + solution%M(:, :, k)
+      M = M + solution%M(:, :, k)
     end do
-  end function direction_at
+  end function direction_at_end
+
+  !> The mobilised share at the quadrature nodes, by Horner's scheme.
+  pure function shares_at(solution, S_hat, t) result(share)
+    type(mobilisation_solution), intent(in) :: solution
+    real(dp), intent(in) :: S_hat(LANES, 5), t(LANES, N_NODES)
+    real(dp) :: share(LANES, N_NODES), M_S(LANES)
+    integer :: i, k
+
+    share = 0
+    do k = solution%terms, 0, -1
+      M_S = contract(solution%M(:, :, k), S_hat)
+      do i = 1, N_NODES
+        share(:, i) = share(:, i) * t(:, i) + M_S
+      end do
+    end do
+    do i = 1, N_NODES
+      share(:, i) = mobilised_share(share(:, i))
+    end do
+  end function shares_at
 
   !> The part of a substep up to the first change of sign of M : S^, where the mobilised share has a kink; 1 if there is none.
   pure function share_to_kink(solution, S_hat) result(share)

@@ -7,14 +7,14 @@ module granumat_substeps
   use granumat_coordination, only: integrate_coordination, quadrature_nodes
   use granumat_fabric, only: fabric_at, fabric_rate_bound, fabric_solution, projections_at, solve_fabric
   use granumat_increment, only: increment
-  use granumat_law, only: critical_state, mobilised_share
-  use granumat_mobilisation, only: direction_at, mobilisation_solution, share_to_kink, solve_mobilisation
+  use granumat_law, only: critical_state
+  use granumat_mobilisation, only: direction_at_end, mobilisation_solution, share_to_kink, shares_at, solve_mobilisation
   use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, choose_places, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
   use granumat_stress, only: mobilised_deviator, model_deviator, pressure, pressure_factor, stress_deviator
-  use granumat_tensors, only: magnitude, matrix_times, rotation_angle, rotation_of_deviators, &
+  use granumat_tensors, only: contract, magnitude, matrix_times, rotation_angle, rotation_of_deviators, &
     small_rotation, times, times_spin
   implicit none (type, external)
   private
@@ -72,8 +72,7 @@ module granumat_substeps
     type(fabric_solution) :: fabric
     ! in the closure where friction turns
     type(mobilisation_solution) :: mobilisation
-    real(dp) :: M(LANES, 5, N_NODES)                                         !! mobilised direction at the nodes
-    real(dp) :: mobilised(LANES, N_NODES)                                    !! share of friction there; 1 in the other closures
+    real(dp) :: mobilised(LANES, N_NODES)                                    !! share of friction at the nodes
     integer :: last
   end type substep_solution
 
@@ -163,9 +162,14 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: M(LANES, 5), share(LANES)
-    real(dp) :: cut(LANES)
+    real(dp) :: cut(LANES), M_S(LANES), turned(LANES)
     type(mobilisation_solution) :: solution
 
+    ! |M|, |S^| <= 1: M : S^ falls by the spin alone while it is positive, by 4 times its angle at most
+    cut = share
+    M_S = contract(M, inc%S_hat)
+    turned = 4 * share * rotation_angle(inc%spin)
+    if (all(M_S > turned .or. -M_S > turned + 4 * share * inc%mod_D / par%elastic_strain .or. share <= 0)) return
     call solve_mobilisation(par, M, inc%S_hat, share * inc%mod_D, times_spin(share, inc%spin), solution)
     cut = share * share_to_kink(solution, inc%S_hat)
   end function up_to_kink
@@ -263,7 +267,7 @@ contains
     type(internal_state), intent(inout) :: x
     type(substep_solution), intent(out) :: step
     integer, intent(inout) :: status(LANES)
-    real(dp) :: places(LANES, 0:MAX_DEGREE), one(LANES)
+    real(dp) :: places(LANES, 0:MAX_DEGREE)
     integer :: i
 
     step%share = share
@@ -290,22 +294,21 @@ contains
     if (deviator_relaxes(par)) then
       call relax(par, inc, step, x%dev)
     else if (par%closure == MOBILISED) then
-      one = 1
-      x%M = direction_at(step%mobilisation, one)
+      x%M = direction_at_end(step%mobilisation)
       x%dev = times(pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess), mobilised_deviator(par, x%A, x%M))
     else
       x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
     end if
   end subroutine take_substep
 
-  !> Fabric and coordination number of a substep, and the mobilised direction at its nodes.
+  !> Fabric and coordination number of a substep, and how far friction is mobilised at the nodes.
   pure subroutine evolve_microstructure(par, inc, x, step, status)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     type(internal_state), intent(in) :: x         ! at the start
     type(substep_solution), intent(inout) :: step
     integer, intent(inout) :: status(LANES)
-    real(dp) :: driving(LANES, N_NODES)           ! A : S + chi (1 - m) |S|, for which (4.8) is as printed
+    real(dp) :: idle(LANES)                       ! what d1 chi (1 - m) |S|, by which (4.8) differs, adds to the integrand
     integer :: i
 
     do i = 1, N_NODES
@@ -320,18 +323,17 @@ contains
     end do
     where (status == OK .and. .not. (step%y_place(:, AT_END) > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
       status = FABRIC_BLOWS_UP
-    driving = step%A_S
-    step%mobilised = 1
+    call integrate_coordination(par, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+      step%integrals, step%t_place, step%last, step%growth, step%integrand, step%decay_place, step%excess)
     if (par%closure == MOBILISED) then
       call solve_mobilisation(par, x%M, inc%S_hat, step%mod_D, step%w, step%mobilisation)
+      step%mobilised = shares_at(step%mobilisation, inc%S_hat, step%t)
       do i = 1, N_NODES
-        step%M(:, :, i) = direction_at(step%mobilisation, step%t(:, i))
-        step%mobilised(:, i) = mobilised_share(step%M(:, :, i), inc%S_hat)
-        driving(:, i) = driving(:, i) + par%chi * (1 - step%mobilised(:, i)) * magnitude(step%S)
+        idle = step%growth(:, i) * step%dt(:, i) * par%d1 * par%chi * (1 - step%mobilised(:, i)) * magnitude(step%S)
+        step%integrand(:, i) = step%integrand(:, i) + idle
+        step%excess(:, AT_END) = step%excess(:, AT_END) + step%decay_place(:, AT_END) * step%integrals(:, i, AT_END) * idle
       end do
     end if
-    call integrate_coordination(par, driving, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
-      step%integrals, step%t_place, step%last, step%growth, step%integrand, step%decay_place, step%excess)
   end subroutine evolve_microstructure
 
   !> The deviatoric stress after a substep with e_r > 0: what is left of the old one, and the model's at the places by their

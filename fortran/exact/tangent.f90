@@ -35,7 +35,8 @@ module granumat_tangent
   !> The derivatives of one function of the stress at the end: by what evolves, at the start of the substeps passed so far, and by
   !! the increment.
   type :: adjoint
-    real(dp) :: A(LANES, 5), dev(LANES, 5), M(LANES, 5), excess(LANES), log_phi(LANES)
+    real(dp) :: A(LANES, 5), excess(LANES), log_phi(LANES)
+    real(dp) :: dev(LANES, 5)             !! the relaxing deviator, or the mobilised direction, of which a closure has one at most
     real(dp) :: S(LANES, 5), S_hat(LANES, 5), w(LANES, 3)
     real(dp), dimension(LANES) :: mod_S, tr_D, mod_D, tr_direction
   end type adjoint
@@ -110,7 +111,7 @@ contains
       by_A = mobilised_slopes(par, x%A)
       do i = 1, n - 1
         f(i)%A = times(p, by_A(:, :, i)) + times(dev_over_p(:, i), f(n)%A)
-        f(i)%M(:, i) = p * par%b1
+        f(i)%dev(:, i) = p * par%b1
         f(i)%excess = dev_over_p(:, i) * by%excess
         f(i)%tr_direction = dev_over_p(:, i) * by%trace
       end do
@@ -132,7 +133,6 @@ contains
     type(adjoint), intent(out) :: f
     f%A = 0
     f%dev = 0
-    f%M = 0
     f%excess = 0
     f%log_phi = 0
     f%S = 0
@@ -186,7 +186,7 @@ contains
     type(substep_solution), intent(in) :: step
     type(shared_derivatives), intent(out) :: shared
     real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before, inverse_y
-    real(dp), dimension(LANES) :: t, decay, power, kernels
+    real(dp), dimension(LANES) :: t, decay, power
     real(dp) :: needed(LANES, 0:MAX_TERMS)               ! 1 where a lane needs the term, else 0
     real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
     integer :: i, k, m
@@ -215,24 +215,23 @@ contains
       do i = 1, N_NODES
         kernel(:, i) = step%integrals(:, i, m) * step%growth(:, i) * step%dt(:, i) * decay
       end do
-      kernels = 0
       shared%by_mod_S(:, m) = 0
       shared%by_mod_D(:, m) = -t * step%excess(:, m)
       shared%by_tr_D(:, m) = 0
       shared%by_log_phi(:, m) = 0
       do i = 1, N_NODES
-        kernels = kernels + kernel(:, i)
-        shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i) * step%mobilised(:, i)
+        shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + kernel(:, i)
         shared%by_mod_D(:, m) = shared%by_mod_D(:, m) + step%integrals(:, i, m) * decay * step%t(:, i) * step%integrand(:, i) &
           + kernel(:, i) * f(:, i)
         shared%by_tr_D(:, m) = shared%by_tr_D(:, m) - kernel(:, i) * f_slope(:, i) * step%t(:, i)
         shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
       end do
-      shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * kernels)
+      shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
       shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
       shared%by_mod_D(:, m) = par%d2 * step%share * shared%by_mod_D(:, m)
       if (par%closure == MOBILISED) then
         do i = 1, N_NODES
+          shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + par%d1 * par%chi * step%share * (1 - step%mobilised(:, i)) * kernel(:, i)
           shared%by_mobilised(:, i) = merge(-par%d1 * par%chi * magnitude(step%S) * kernel(:, i), 0.0_dp, step%mobilised(:, i) > 0)
         end do
       end if
@@ -300,14 +299,14 @@ contains
     integer :: i, k
 
     do i = 1, N_NODES
-      weight(:, i) = by_excess * shared%by_mobilised(:, i) / 2       ! of M : S^ at the node
-      f%S_hat = f%S_hat + times(weight(:, i), step%M(:, :, i))
+      weight(:, i) = by_excess * shared%by_mobilised(:, i) / 2       ! of M : S^ at the node; then times t^k
     end do
     do k = 0, step%mobilisation%terms
-      g(:, :, k) = f%M + times(sum(weight, 2), inc%S_hat)
+      g(:, :, k) = f%dev + times(sum(weight, 2), inc%S_hat)
+      f%S_hat = f%S_hat + times(sum(weight, 2), step%mobilisation%M(:, :, k))
       weight = weight * step%t
     end do
-    call adjoint_mobilisation(par, step%mobilisation, inc%S_hat, step%mod_D, step%w, g, f%M, by_S_hat, by_mod_D, by_spin)
+    call adjoint_mobilisation(par, step%mobilisation, inc%S_hat, step%mod_D, step%w, g, f%dev, by_S_hat, by_mod_D, by_spin)
     f%S_hat = f%S_hat + by_S_hat
     f%mod_D = f%mod_D + step%share * by_mod_D
     f%w = f%w + times_spin(step%share, by_spin)

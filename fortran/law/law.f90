@@ -76,10 +76,10 @@ contains
   end function relaxation_rate
 
   !> The mobilised share of friction, max(0, M : S^/2).
-  pure function mobilised_share(M, S_hat) result(share)
-    real(dp), intent(in) :: M(LANES, 5), S_hat(LANES, 5)
+  pure function mobilised_share(M_S) result(share)
+    real(dp), intent(in) :: M_S(LANES)        ! M : S^
     real(dp) :: share(LANES)
-    share = max(0.0_dp, contract(M, S_hat) / 2)
+    share = max(0.0_dp, M_S / 2)
   end function mobilised_share
 
   !> The critical-state closure's microstructure: A = lambda S^ (A 9), Z2 = f(phi).

@@ -179,7 +179,7 @@ contains
       mod_S = magnitude(S_hat)
       d_mod_S = contract(S_hat, d_S) / (2 * max(mod_S, tiny(d_mod)))
       if (par%closure == MOBILISED) then               ! of m |S| = (M : S) |S|/(2 |D|), where that is positive
-        share = mobilised_share(M, S_hat)
+        share = mobilised_share(contract(M, S_hat))
         d_mod_S = merge(contract(M, d_S) / 2 * mod_S + share * (d_mod_S - mod_S * d_mod), 0.0_dp, share > 0)
       end if
       missing = excess_target(par, distance) - excess
