@@ -174,6 +174,15 @@ def test_the_result_of_a_ladder_is_printed_as_json(tmp_path):
     assert set(found["choice"]) >= {"closure", "increment"} and found["recommended"]["step"] and found["runs"] > 3
 
 
+@pytest.mark.parametrize("command", [["chart", "--out", "chart"], ["bench", "--quick"]])
+def test_without_scipy_the_commands_that_need_it_say_what_to_install_before_they_measure(tmp_path, command):
+    program = f"import sys; sys.modules['scipy'] = None; from granumat import cli; sys.exit(cli.main({command}))"
+    result = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 2 and result.stdout == "" and not list(tmp_path.iterdir())
+    assert result.stderr.startswith("granumat: the comparison with SciPy's solvers needs SciPy: install Debian's python3-scipy, "
+                                    "or granumat[study] by pip") and result.stderr.count("\n") == 1
+
+
 def test_output_that_nobody_reads_to_its_end_is_no_error(tmp_path):
     command = f"{sys.executable} -m granumat example annulus | true"
     assert subprocess.run(command, shell=True, capture_output=True, text=True, cwd=tmp_path).stderr == ""

@@ -58,7 +58,13 @@ def print_ratios(quick: bool = False) -> None:
     ----------
     quick : bool
         Whether few, small measurements are enough, a minute at most; ratios are rough then.
+
+    Raises
+    ------
+    ImportError
+        If there is no SciPy, before anything is measured.
     """
+    rate_form.scipys_solver()
     effort = QUICK if quick else FULL
     print_batch(effort)
     print_closures(effort)
@@ -231,8 +237,7 @@ def compare(control: str, rate: Callable[..., list[float]], increments: int, rep
     list of PathCost
         granumat, then each of SciPy's methods with the largest tolerance that gives no larger error.
     """
-    from scipy.integrate import solve_ivp
-    material = Material()
+    solve_ivp, material = rate_form.scipys_solver(), Material()
     start = material.steady(PHI)
     step = driver.shear(SHEAR, control, increments)
     flow = rate_form.Flow.of((np.sign(SHEAR) * driver.SHEAR).tolist())               # per unit of accumulated shear strain

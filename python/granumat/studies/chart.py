@@ -477,10 +477,13 @@ def draw_chart(out: str | Path, names: Iterable[str] | None = None,
     ------
     ValueError
         Names every case that does not exist.
+    ImportError
+        If there is no SciPy, before anything is measured.
     """
     names, out = list(names or CASES), Path(out)
     refuse("the chart cannot be drawn", [f"case {name!r}: must be one of {', '.join(CASES)}"
                                          for name in names if name not in CASES])
+    rate_form.scipys_solver()
     out.mkdir(parents=True, exist_ok=True)
     cases = {}
     for name in names:

@@ -7,7 +7,7 @@ can be given for one point: with `y.tolist()` the general equations take as long
 scalars, and a step of SciPy takes longer than either.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -220,6 +220,26 @@ def runge_kutta(material: Material, y: np.ndarray, gradients: np.ndarray, subste
     return trajectory
 
 
+def scipys_solver() -> Callable[..., Any]:
+    """The function scipy.integrate.solve_ivp.
+
+    Returns
+    -------
+    function
+
+    Raises
+    ------
+    ImportError
+        If there is no SciPy; says what to install.
+    """
+    try:
+        from scipy.integrate import solve_ivp
+    except ImportError as error:
+        raise ImportError("the comparison with SciPy's solvers needs SciPy: install Debian's python3-scipy, or granumat[study] by "
+                          f"pip ({error})") from error
+    return solve_ivp
+
+
 def solve_point(material: Material, y: np.ndarray, gradients: np.ndarray, method: str, rtol: float) -> np.ndarray:
     """Integrate one point by SciPy's solve_ivp; equal increments in a row are one call, with output in between.
 
@@ -245,8 +265,7 @@ def solve_point(material: Material, y: np.ndarray, gradients: np.ndarray, method
     ArithmeticError
         If SciPy gives up.
     """
-    from scipy.integrate import solve_ivp
-    c, trajectory = material.constants, []
+    solve_ivp, c, trajectory = scipys_solver(), material.constants, []
     changes = np.flatnonzero((gradients[1:] != gradients[:-1]).any((1, 2))) + 1
     for equal in np.split(gradients, changes):
         flow = Flow.of(equal[0].tolist())
@@ -290,7 +309,7 @@ def _reference_increment(c: Constants, y: np.ndarray, flow: Flow, max_step: floa
     t - t_c = u abs(u), the square root of (4.9) is smooth on either side of u = 0, so each point is integrated over u, first to 0
     and then from 0. Points that stay away from phic are integrated in the same way with t_c outside the increment.
     """
-    from scipy.integrate import solve_ivp
+    solve_ivp = scipys_solver()
     with np.errstate(divide="ignore", invalid="ignore"):
         crossing = np.clip(np.nan_to_num(np.log(y[7] / c["phic"]) / flow.tr_D), -1, 2)
     start, end = (np.sign(t - crossing) * np.sqrt(np.abs(t - crossing)) for t in (0, 1))
