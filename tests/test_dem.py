@@ -51,7 +51,7 @@ step = [{pressure = "hold", time = 400}, {shear = 0.2, increments = 20, control 
 [programme.compression]
 start = "thermal"
 step = [{pressure = 1e-3, time = 600}, {pressure = 1e-2, time = 600}]
-""" + "".join(f"[[runs]]\nprogramme = {name!r}\nstates = [[0.5, {phi}]]\nseeds = [1]\n" for name, phi in
+""" + "".join(f"[[runs]]\nprogrammes = [{name!r}]\nstates = [[0.5, {phi}]]\nseeds = [1]\n" for name, phi in
               (("reversal", 0.6), ("controls", 0.6), ("reynolds", 0.6), ("compression", 0.5)))
 
 

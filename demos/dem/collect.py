@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from ensemble import COLLECTED, SETTINGS, collected, planned
+from grains import AXES
 
 ROWS = 75                   # of a step in a thinned table, at most
 DENSITY = 6 / math.pi       # of the spheres
@@ -84,7 +85,7 @@ def steady_measures(columns, step, rate):
             "p": mean["p"], "stress_ratio": -mean["sigma_xz"] / mean["p"],
             "Z2": mean["Z2"], "A_xz": mean["A_xz"], "A": fabric, "N1/p": (mean["sigma_xx"] - mean["sigma_zz"]) / mean["p"],
             "N2/p": (mean["sigma_zz"] - mean["sigma_yy"]) / mean["p"],
-            **{f"sigma_{axis}": mean[f"sigma_{axis}"] for axis in ("xx", "yy", "zz")}}
+            **{name: mean[name] for name in (*(f"sigma_{axis}" for axis in AXES), "A_xx", "A_yy", "A_zz")}}
 
 
 def steady_table(records):

@@ -10,6 +10,7 @@ import argparse
 import sys
 import time
 import tomllib
+from itertools import product
 from pathlib import Path
 
 from shear_run import Run
@@ -36,23 +37,22 @@ def planned(folder, settings):
     runs = {}
     held = {(mu, phi): tuple(stress) for mu, phi, *stress in settings["normal_stress"]}
     for entry in settings["runs"]:
-        name, contact = entry["programme"], entry.get("contact", "hookean")
-        for seed in entry["seeds"]:
-            for mu, phi in entry["states"]:
-                place = Path(folder) / f"{'hertzian_' * (contact == 'hertzian')}mu{mu:g}_phi{phi:.3f}_s{seed}"
-                common = {"mu": mu, "phi": phi, "seed": seed, "contact": contact, "number": settings["number"],
-                          "rate": entry.get("rate", settings["rate"])}
-                steady = Run(place / "steady.csv", settings["steady"], **common)
-                programme = settings["programme"][name] if name != "steady" else {}
-                start = programme.get("start", steady)
-                if start is steady:
-                    runs.setdefault(f"{place.name}/steady", steady)
-                if programme:
-                    stress = held.get((mu, phi)) if _holds(programme["step"]) else (0.0, 0.0, 0.0)
-                    if stress is None:
-                        raise ValueError(f"{name} at mu = {mu}, phi = {phi}: normal_stress says nothing of it")
-                    runs[f"{place.name}/{name}"] = Run(place / f"{name}.csv", programme["step"], start=start, normal_stress=stress,
-                                                       **common)
+        contact = entry.get("contact", "hookean")
+        for seed, (mu, phi), name in product(entry["seeds"], entry["states"], entry["programmes"]):
+            place = Path(folder) / f"{'hertzian_' * (contact == 'hertzian')}mu{mu:g}_phi{phi:.3f}_s{seed}"
+            common = {"mu": mu, "phi": phi, "seed": seed, "contact": contact, "number": settings["number"],
+                      "rate": entry.get("rate", settings["rate"])}
+            steady = Run(place / "steady.csv", settings["steady"], **common)
+            programme = settings["programme"][name] if name != "steady" else {}
+            start = programme.get("start", steady)
+            if start is steady:
+                runs.setdefault(f"{place.name}/steady", steady)
+            if programme:
+                stress = held.get((mu, phi)) if _holds(programme["step"]) else (0.0, 0.0, 0.0)
+                if stress is None:
+                    raise ValueError(f"{name} at mu = {mu}, phi = {phi}: normal_stress says nothing of it")
+                runs.setdefault(f"{place.name}/{name}", Run(place / f"{name}.csv", programme["step"], start=start,
+                                                            normal_stress=stress, **common))
     return runs
 
 
