@@ -2,6 +2,8 @@
 
 import ctypes
 import re
+import signal
+import threading
 import warnings
 import zlib
 from collections.abc import Mapping
@@ -12,6 +14,11 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 from ..checks import refuse
+
+# Python ignores SIGPIPE; PETSc, once loaded, aborts MPI at it. When mpirun has been killed, Open MPI 5 aborts its ranks, and they say
+# so to the broken pipe of mpirun: PETSc's abort within that abort would wait for ever, and keep the lock of the run's directory.
+if threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
 _petsc = ctypes.CDLL(PETSc.__file__)                   # reaches the library that petsc4py itself has loaded
 _Int = np.ctypeslib.as_ctypes_type(PETSc.IntType)
