@@ -32,12 +32,12 @@ def errors_of(c, fabric, z2, phi, gradient, deviator, closure="full", contact="h
 
 
 def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0, across=False, isotropic=False,
-           margin=0.005, **sampling):
+           margin=0.005, mus=MUS, **sampling):
     """Largest errors, as above by name, of n random updates."""
     rng = np.random.default_rng(seed)
     worst = np.zeros(4)
-    for mu in MUS:
-        m = n // len(MUS)
+    for mu in mus:
+        m = n // len(mus)
         c = reference.constants(mu, closure) | {"mu": mu, "elastic_strain": elastic_strain}
         fabric, z2, phi, gradient = reference.random_increments(rng, m, mu, shear, margin=margin, **sampling)
         if across:                                   # phi starts within the increment's volume strain of phic, on either side
@@ -49,6 +49,11 @@ def errors(seed, n, shear, closure="full", contact="hookean", elastic_strain=0.0
             fabric = np.zeros_like(fabric)
         worst = np.maximum(worst, errors_of(c, fabric, z2, phi, gradient, deviator, closure, contact))
     return dict(zip(("A", "Z2", "phi", "stress"), worst))
+
+
+def mus_for(elastic_strain):
+    """SciPy takes seconds for each of them where it is stiff, however many the points are."""
+    return MUS if elastic_strain > 1e-4 else MUS[1::2]
 
 
 def test_error_is_below_1e_12_for_shear_up_to_0_02_in_one_update():
@@ -73,7 +78,7 @@ def test_error_stays_below_1e_10_across_phic(shear):
 @pytest.mark.parametrize("shear", [0.002, 0.02, 0.1])
 @pytest.mark.parametrize("elastic_strain", [1e-1, 1e-2, 1e-3, STIFF])
 def test_error_stays_below_1e_8_with_an_elastic_strain(elastic_strain, shear):
-    worst = errors(5, 100, shear, elastic_strain=elastic_strain)
+    worst = errors(5, 100, shear, elastic_strain=elastic_strain, mus=mus_for(elastic_strain))
     assert worst.pop("stress") < 1e-8
     assert max(worst.values()) < 1e-12
 
@@ -141,7 +146,7 @@ def test_a_stress_that_does_not_relax_turns_with_the_spin():
 @pytest.mark.parametrize("shear", [1e-3, 0.02, 0.1])
 @pytest.mark.parametrize("elastic_strain", [1e-2, 1e-3, STIFF])
 def test_error_stays_below_1e_8_from_an_isotropic_packing(elastic_strain, shear):
-    assert max(errors(8, 100, shear, elastic_strain=elastic_strain, isotropic=True).values()) < 1e-8
+    assert max(errors(8, 100, shear, elastic_strain=elastic_strain, isotropic=True, mus=mus_for(elastic_strain)).values()) < 1e-8
 
 
 @pytest.mark.parametrize("contact", ["hookean", "hertzian"])
@@ -188,7 +193,7 @@ def scaled_to_degree(degree, factor, c, fabric, z2, phi, gradient):
     return reference.scale(factor * (1e-12 / bound) ** (1 / (2 * degree + 1)), gradient)
 
 
-@pytest.mark.parametrize("contact", ["hookean", "hertzian"])
+@pytest.mark.parametrize("contact", ["hookean", pytest.param("hertzian", marks=pytest.mark.release_only)])
 @pytest.mark.parametrize("closure", ["basic", "n2", "full", "kinematic"])
 @pytest.mark.parametrize("degree", [1, 2])
 def test_error_stays_below_1e_12_around_the_increments_from_which_a_higher_degree_is_taken(degree, closure, contact):

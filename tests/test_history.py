@@ -15,7 +15,7 @@ SAND = Material(0.5, elastic_strain=0.001)
 START = SAND.isotropic(0.60, pressure=0.005)
 RESULTS = (Path(__file__).parents[1] / "docs/results.md").read_text()
 
-pytestmark = pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")
+pytestmark = [pytest.mark.release_only, pytest.mark.filterwarnings("ignore::granumat.ConstrainedDeformationWarning")]
 
 
 def run(*steps, state=START):

@@ -6,6 +6,8 @@ from granumat import Material, cli, driver
 from granumat.errors import UnmetConditionWarning
 from granumat.paths import read_path_file
 
+pytestmark = pytest.mark.release_only
+
 MATERIAL, INITIAL, STEP = "mu = 0.5", 'phi = 0.6\nstate = "steady"', "shear = 0.01\nincrements = 2"
 HUGE = 12345678901234567890
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.release_only
+
 PACKAGE = Path(__file__).parents[1] / "python" / "granumat"
 FILES = sorted(PACKAGE.rglob("*.py"))
 OF_NAMED_TUPLES = {"_replace", "_asdict", "_fields", "_make"}         # public, with an underscore for lack of better names

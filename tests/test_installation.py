@@ -137,6 +137,7 @@ def test_a_misspelt_build_is_refused_before_anything_is_installed():
 @only_from_build
 @pytest.mark.release_only
 @pytest.mark.parametrize("build_type, optimised", [("", True), ("RelWithDebInfo", True), ("None", True), ("Debug", False)])
+@pytest.mark.slow
 def test_every_build_but_the_debug_build_is_optimised_for_every_instruction_set(tmp_path, build_type, optimised):
     run("cmake", "-G", "Ninja", "-S", ROOT, "-B", tmp_path, f"-DCMAKE_BUILD_TYPE={build_type}")
     written = (tmp_path / "build.ninja").read_text()

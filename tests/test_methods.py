@@ -161,10 +161,10 @@ def test_no_method_returns_a_fabric_that_can_blow_up(rng, method):
 
 @pytest.mark.parametrize("spin", range(2))
 @pytest.mark.parametrize("method", range(6))
-def test_2000_random_property_sets_states_and_increments_never_give_nan(rng, method, spin):
+def test_500_random_property_sets_states_and_increments_never_give_nan(rng, method, spin):
     steady = np.array([Material(0.5).steady(0.6)]).view(float).reshape(1, 20)
     done = 0
-    for _ in range(2000):
+    for _ in range(500):
         par = core.parameters_from_friction(rng.random(), *(int(k) for k in rng.integers(0, (len(CLOSURES), len(CONTACTS), 3))))
         scheme = method, spin, 10.0 ** rng.uniform(-8, -0.01)
         level = rng.choice([0.0, 0.03, 0.2])
@@ -172,7 +172,7 @@ def test_2000_random_property_sets_states_and_increments_never_give_nan(rng, met
         core.complete_parameters(par)
         gradient = spoiled(rng, rng.normal(size=(1, 3, 3)) * 10.0 ** rng.uniform(-6, 0), rng.choice([0.0, 0.05, 0.3]))
         done += check(par, spoiled(rng, steady, level), gradient, scheme) == 0
-    assert done > 200
+    assert done > 50
 
 
 def test_unknown_methods_are_refused_by_name_all_at_once_and_by_the_core():

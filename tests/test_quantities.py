@@ -7,6 +7,8 @@ from granumat import PathError, cli, driver
 from granumat.paths import read_path_file
 from granumat.quantities import Quantity, read_values
 
+pytestmark = pytest.mark.release_only
+
 PATH = """
 [material]
 elastic_strain = 0.01
@@ -80,6 +82,7 @@ def test_the_command_writes_them(tmp_path, capsys):
     assert not (tmp_path / "none/quantities.csv").exists()
 
 
+@pytest.mark.slow
 def test_a_path_that_fails_leaves_what_it_has_come_to(tmp_path):
     text = PATH.replace("cycles = 1\namplitude = 0.03\nincrements = 3", "shear = 0.1\nfree = [\"e_xz\"]\nstress = { p = 1 }")
     path = read_path_file(written(tmp_path, text.replace(", 3.6666666666666667", "")))

@@ -61,6 +61,7 @@ def test_the_libraries_export_what_hosts_call_and_nothing_else():
 
 
 @pytest.mark.parametrize("form", ["granumat_routed.f90", "libgranumat_umat.a", "libGRANUMAT.so"])
+@pytest.mark.release_only
 def test_a_job_with_two_materials_and_an_umat_of_its_own_links(tmp_path, form):
     run("gfortran", "-frecursive", ROOT / "tests/fortran/router.f90", BUILD / form, f"-Wl,-rpath,{BUILD}", "-o", "router",
         cwd=tmp_path)
@@ -87,6 +88,7 @@ def test_the_source_has_no_save_common_input_output_or_stop_but_where_faults_are
     assert re.search(forbidden, "  write (*, *) x")
 
 
+@pytest.mark.release_only
 def test_the_soil_model_compiles_with_the_source_alone(prefix, tmp_path):
     share = prefix / "share/granumat"
     run("gfortran", "-shared", "-fPIC", "-frecursive", share / "granumat_umat.f90", share / "user_mod.f90", "-o", "model.so",
@@ -145,6 +147,7 @@ def test_decks_name_the_constants_in_the_order_of_the_code(deck):
 # ---- linking ---------------------------------------------------------------------------------------------------------
 
 @pytest.mark.parametrize("demo, program", [("fortran", "shear"), ("c", "points")])
+@pytest.mark.release_only
 def test_the_demo_links_to_an_installation_by_find_package_and_agrees_with_python(prefix, tmp_path, demo, program):
     run("cmake", "-G", "Ninja", "-S", LINKING / demo, "-B", tmp_path, f"-DCMAKE_PREFIX_PATH={prefix}")
     run("cmake", "--build", tmp_path)
@@ -175,6 +178,7 @@ def check_output(demo, output):
         np.testing.assert_allclose(numbers[:, 1:], expected[:, 1:], rtol=0, atol=6e-7)
 
 
+@pytest.mark.release_only
 def test_pkg_config_finds_both_libraries(prefix, tmp_path):
     if not shutil.which("pkg-config"):
         pytest.skip("pkg-config is not installed")

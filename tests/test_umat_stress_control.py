@@ -21,7 +21,7 @@ def triaxial_cycles():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("elastic_strain", [0.001, 0.01])
+@pytest.mark.parametrize("elastic_strain", [pytest.param(0.001, marks=pytest.mark.release_only), 0.01])
 def test_drained_triaxial_stress_cycles_converge_in_every_row(elastic_strain):
     point = StressControl(properties(elastic_strain=elastic_strain, pressure=PRESSURE))
     rows = triaxial_cycles()

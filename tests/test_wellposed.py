@@ -32,6 +32,7 @@ def test_an_elastic_strain_does_not_change_which_closures_lose_it(closure, eigen
     assert loss["steady"] == pytest.approx(steady, abs=6e-4)
 
 
+@pytest.mark.release_only
 def test_the_command_writes_curves_table_and_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(wellposed, "MUS", (0.1, 0.5))
     monkeypatch.setattr(wellposed, "INCREMENTS", 50)

@@ -28,6 +28,8 @@ def whole():
     return turned()
 
 
+@pytest.mark.slow
+@pytest.mark.release_only
 def test_turning_and_turning_back_follows_the_radial_solution(tmp_path):
     data = annulus.main(**annulus.SHORT, out=tmp_path)    # asserts torque, iterations, scatter
     assert (tmp_path / "annulus.png").exists()
@@ -54,6 +56,7 @@ def test_torque_is_of_second_order_before_shear_localises():
     assert errors[1] < 1e-3
 
 
+@pytest.mark.release_only
 def test_sheared_zone_is_one_ring_of_cells_on_any_mesh():
     for rings, (_, _, width) in annulus.refine((4, 8), 8).items():
         assert width == pytest.approx(1 / rings, rel=0.15)
@@ -76,6 +79,8 @@ def test_hexahedra_between_two_planes_agree_with_quadrilaterals(whole):
     assert solid["scatter"].max() < 1e-9
 
 
+@pytest.mark.slow
+@pytest.mark.release_only
 def test_where_it_fails_without_an_elastic_strain(tmp_path):
     rows = where_it_fails.main(**where_it_fails.SHORT, out=tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"where_it_fails.csv", "where_it_fails.png"}
@@ -87,6 +92,8 @@ def test_where_it_fails_without_an_elastic_strain(tmp_path):
             assert (row["eta_t"] < 0) == (row["closure"] == "basic")
 
 
+@pytest.mark.slow
+@pytest.mark.release_only
 def test_only_a_rate_term_gives_the_sheared_zone_a_width(tmp_path):
     rows = regularisation.main(**regularisation.SHORT, out=tmp_path)         # asserts the widths
     assert {path.name for path in tmp_path.iterdir()} == {"regularisation.csv", "regularisation.png"}
@@ -95,6 +102,7 @@ def test_only_a_rate_term_gives_the_sheared_zone_a_width(tmp_path):
     assert fast[16] > 1.3 * slow[16]
 
 
+@pytest.mark.release_only
 def test_scatter_around_the_ring_is_that_of_skewed_cells():
     skewed, narrow, straight = (turned(8, 1, 0.12, 0.015, part=1 / sectors, twist=twist)["scatter_points"]
                                 for sectors, twist in ((36, 0), (72, 0), (36, 0.07)))

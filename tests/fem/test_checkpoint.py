@@ -21,6 +21,8 @@ import numpy as np
 from mpi4py import MPI
 from granumat import Material, fem
 from granumat.fem.cellwise import CellOrder
+
+pytestmark = pytest.mark.release_only
 out, resumed, pause = Path(sys.argv[1]), sys.argv[2] == "resumed", float(sys.argv[3])
 material = Material(0.5, elastic_strain=1e-2)
 def inner(x): return np.isclose(np.hypot(x[0], x[1]), 1)

@@ -5,6 +5,8 @@ import pytest
 from granumat.fem import scene
 from support.scenes import BOX, RING, replaced, written
 
+pytestmark = pytest.mark.release_only
+
 HUGE = 12345678901234567890
 GMSH = replaced(BOX, {'kind = "box"\nsize = [1, 0.5]\ncells = [4, 2]': 'kind = "gmsh"\nfile = "body.msh"'})
 SHEAR = "displacement = { x = [[0, 0], [3.5, 0.02], [10, -0.02]] }"

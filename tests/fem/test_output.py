@@ -164,6 +164,7 @@ def test_rows_are_in_the_tables_as_soon_as_their_increment_is_accepted(tmp_path)
 
 
 @pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.release_only
 def test_pictures_show_the_surface(tmp_path, cell):
     problem = homogeneous(cell)
     polygons, cells = VertexMesh(problem.body).polygons()

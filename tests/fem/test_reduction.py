@@ -7,6 +7,8 @@ import pytest
 from support import scenes
 from support.scenes import faults, replaced, solved
 
+pytestmark = pytest.mark.release_only
+
 RING = replaced(scenes.RING, {"[10, 0.02]": "[2, 0.01], [10, -0.03]", "until = 3": "until = 4"}) + """
 [problem]
 tolerances = { force = 1e-12, correction = 1e-8 }

@@ -179,6 +179,7 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "demos/scenes").glob("*.toml")), ids=lambda path: path.stem)
+@pytest.mark.release_only
 def test_two_increments_of_the_scenes_of_the_demos_run_on_coarse_meshes(tmp_path, path):
     content = read_toml(path)
     end = content["run"]["until"] = 2 * content["run"]["increment"]
