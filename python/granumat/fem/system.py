@@ -15,8 +15,8 @@ from petsc4py import PETSc
 
 from ..checks import refuse
 
-# Python ignores SIGPIPE; PETSc, once loaded, aborts MPI at it. When mpirun has been killed, Open MPI 5 aborts its ranks, and they say
-# so to the broken pipe of mpirun: PETSc's abort within that abort would wait for ever, and keep the lock of the run's directory.
+# Python ignores SIGPIPE; PETSc, once loaded, aborts MPI at it. Where mpirun was killed, ranks of Open MPI 5 abort, and say so to
+# the broken pipe of mpirun: PETSc's abort within that abort would wait for ever, and keep the lock of the run's directory.
 if threading.current_thread() is threading.main_thread():
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)
 
