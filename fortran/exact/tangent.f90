@@ -106,7 +106,7 @@ contains
         f(i)%dev(:, i) = 1
       end do
     else if (par%closure == MOBILISED) then
-      dev_over_p = mobilised_deviator(par, x%A, x%M)
+      dev_over_p = mobilised_deviator(par, x%A, x%dev)
       p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess)
       by_A = mobilised_slopes(par, x%A)
       do i = 1, n - 1
@@ -169,6 +169,7 @@ contains
       end do
     else
       call share_derivatives(par, step, shared)
+      if (par%closure == MOBILISED) call share_friction(par, step, shared)
       do i = 1, n
         relaxes = deviator_relaxes(par) .and. i < n
         call adjoint_coordination(par, step, shared, merge(step%last, AT_END, relaxes), at(i), f(i))
@@ -229,12 +230,6 @@ contains
       shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
       shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
       shared%by_mod_D(:, m) = par%d2 * step%share * shared%by_mod_D(:, m)
-      if (par%closure == MOBILISED) then
-        do i = 1, N_NODES
-          shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + par%d1 * par%chi * step%share * (1 - step%mobilised(:, i)) * kernel(:, i)
-          shared%by_mobilised(:, i) = merge(-par%d1 * par%chi * magnitude(step%S) * kernel(:, i), 0.0_dp, step%mobilised(:, i) > 0)
-        end do
-      end if
       power = 1
       do k = 0, shared%terms
         shared%weight(:, k, m) = needed(:, k) * power
@@ -244,6 +239,21 @@ contains
       end do
     end do
   end subroutine share_derivatives
+
+  !> Those of them in which the mobilised share of friction appears, at the end of the substep.
+  pure subroutine share_friction(par, step, shared)
+    type(material_parameters), intent(in) :: par
+    type(substep_solution), intent(in) :: step
+    type(shared_derivatives), intent(inout) :: shared
+    real(dp) :: by_loss(LANES)                           ! of Z2 - Zc by m |S| at a node
+    integer :: i
+
+    do i = 1, N_NODES
+      by_loss = -par%d1 * par%chi * step%integrals(:, i, AT_END) * step%growth(:, i) * step%dt(:, i) * step%decay_place(:, AT_END)
+      shared%by_mod_S(:, AT_END) = shared%by_mod_S(:, AT_END) - step%share * (1 - step%mobilised(:, i)) * by_loss
+      shared%by_mobilised(:, i) = merge(magnitude(step%S) * by_loss, 0.0_dp, step%mobilised(:, i) > 0)
+    end do
+  end subroutine share_friction
 
   !> The adjoints of the coordination number and the fabric: to A and Z2 - Zc at the start.
   pure subroutine adjoint_coordination(par, step, shared, last, at, f)
