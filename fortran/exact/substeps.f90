@@ -161,14 +161,14 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: M(LANES, 5), share(LANES)
-    real(dp) :: cut(LANES), M_S(LANES), turned(LANES)
+    real(dp) :: cut(LANES), M_S(LANES), distance(LANES)
     type(mobilisation_solution) :: solution
 
     ! |M|, |S^| <= 1: M : S^ falls by the spin alone while it is positive, by 4 times its angle at most
     cut = share
     M_S = contract(M, inc%S_hat)
-    turned = 4 * share * rotation_angle(inc%spin)
-    if (all(M_S > turned .or. -M_S > turned + 4 * share * inc%mod_D / par%elastic_strain .or. share <= 0)) return
+    distance = max(M_S, -M_S - 4 / par%elastic_strain * share * inc%mod_D) - 4 * share * rotation_angle(inc%spin)
+    if (all(distance > 0 .or. share <= 0)) return
     call solve_mobilisation(par, M, inc%S_hat, share * inc%mod_D, times_spin(share, inc%spin), solution)
     cut = share * share_to_kink(solution, inc%S_hat)
   end function up_to_kink
