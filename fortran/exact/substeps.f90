@@ -9,7 +9,7 @@ module granumat_substeps
   use granumat_increment, only: increment
   use granumat_law, only: critical_state
   use granumat_mobilisation, only: direction_at_end, mobilisation_solution, share_to_kink, shares_at, solve_mobilisation
-  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
+  use granumat_parameters, only: material_parameters, CRITICAL, deviator_relaxes, friction_turns
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, choose_places, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
@@ -40,7 +40,7 @@ module granumat_substeps
   !> What evolves inside an increment.
   type, public :: internal_state
     real(dp) :: A(LANES, 5)            !! fabric
-    real(dp) :: excess(LANES)          !! Z2 - Zc
+    real(dp) :: excess(LANES)          !! Z2 - Zc, or what evolves in its place (to_evolving)
     real(dp) :: phi(LANES)
     real(dp) :: log_phi(LANES)         !! ln(phi/phic)
     real(dp) :: dev(LANES, 5)          !! deviatoric stress, tension positive; where friction turns, its mobilised direction M
@@ -141,7 +141,7 @@ contains
       steps = remainder * graded_rate / SUBSTEP_RATE
       next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
       share_next = remainder - next_remainder
-      if (par%closure == MOBILISED) then
+      if (friction_turns(par)) then
         share_next = up_to_kink(par, inc, x%dev, share_next)
         next_remainder = remainder - share_next
       end if
@@ -208,7 +208,7 @@ contains
       rate = CRITICAL_REFINEMENT * 2 * (rotation_angle(inc%spin) + abs(inc%tr_D))
     else
       rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
-      if (par%closure == MOBILISED) rate = rate + inc%mod_D / par%elastic_strain
+      if (friction_turns(par)) rate = rate + inc%mod_D / par%elastic_strain
     end if
   end function rate_bound
 
@@ -285,7 +285,7 @@ contains
       end do
     else
       call evolve_microstructure(par, x, step, status)
-      if (par%closure == MOBILISED) call mobilise(par, inc%S_hat, x%dev, step)
+      if (friction_turns(par)) call mobilise(par, inc%S_hat, x%dev, step)
     end if
     x%phi = x%phi * exponential(-step%tr_D)
     x%log_phi = log_phi_end
@@ -293,7 +293,7 @@ contains
     x%excess = step%excess(:, AT_END)
     if (deviator_relaxes(par)) then
       call relax(par, inc, step, x%dev)
-    else if (par%closure == MOBILISED) then
+    else if (friction_turns(par)) then
       x%dev = direction_at_end(step%mobilisation)
     else
       x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)

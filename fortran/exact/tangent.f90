@@ -10,14 +10,14 @@ module granumat_tangent
   use granumat_kinds, only: dp, LANES
   use granumat_fabric, only: MAX_TERMS, adjoint_fabric
   use granumat_increment, only: increment
-  use granumat_law, only: excess_target, excess_target_slope
+  use granumat_law, only: evolving_target, evolving_target_slope, excess_target_slope
   use granumat_mobilisation, only: MAX_POWER, adjoint_mobilisation
-  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
+  use granumat_parameters, only: material_parameters, CRITICAL, deviator_relaxes, friction_turns
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_status, only: OK
   use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes, &
-    mobilised_deviator, mobilised_slopes
+    mobilised_deviator, mobilised_slopes, to_excess
   use granumat_substeps, only: internal_state, substep_record, substep_solution, take_substep
   use granumat_tensors, only: add_identity, commutator_of_spins, contract, magnitude, product_matrix, rotation_series, &
     spin_derivative, times, times_spin, to_voigt, transposed_times
@@ -105,9 +105,9 @@ contains
       do i = 1, n - 1
         f(i)%dev(:, i) = 1
       end do
-    else if (par%closure == MOBILISED) then
+    else if (friction_turns(par)) then
       dev_over_p = mobilised_deviator(par, x%A, x%dev)
-      p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess)
+      p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), to_excess(par, x%A, x%excess))
       by_A = mobilised_slopes(par, x%A)
       do i = 1, n - 1
         f(i)%A = times(p, by_A(:, :, i)) + times(dev_over_p(:, i), f(n)%A)
@@ -169,13 +169,13 @@ contains
       end do
     else
       call share_derivatives(par, step, shared)
-      if (par%closure == MOBILISED) call share_friction(par, step, shared)
+      if (friction_turns(par)) call share_friction(par, step, shared)
       do i = 1, n
         relaxes = deviator_relaxes(par) .and. i < n
         call adjoint_coordination(par, step, shared, merge(step%last, AT_END, relaxes), at(i), f(i))
         if (relaxes) f(i)%A = f(i)%A + at(i)%A(:, :, AT_START)
         if (relaxes) f(i)%excess = f(i)%excess + at(i)%excess(:, AT_START)
-        if (par%closure == MOBILISED) call adjoint_friction(par, inc, step, shared, at(i)%excess(:, AT_END), f(i))
+        if (friction_turns(par)) call adjoint_friction(par, inc, step, shared, at(i)%excess(:, AT_END), f(i))
       end do
     end if
   end subroutine adjoint_substep
@@ -194,8 +194,8 @@ contains
 
     shared%terms = count([(any(step%fabric%bound(:, i) >= ADJOINT_SERIES_TOLERANCE), i = 0, step%fabric%terms - 1)])
     do i = 1, N_NODES
-      f(:, i) = excess_target(par, step%phi(:, i) - par%phic)
-      f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_target_slope(par, step%phi(:, i) - par%phic)
+      f(:, i) = evolving_target(par, step%phi(:, i) - par%phic)
+      f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * evolving_target_slope(par, step%phi(:, i) - par%phic)
     end do
     inverse_y = 1 / step%y
     before = 1

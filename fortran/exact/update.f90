@@ -6,9 +6,9 @@ module granumat_update
   use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, FABRIC_BLOWS_UP, TENSILE_PRESSURE, RESULT_NOT_FINITE
   use granumat_increment, only: increment, to_increment
-  use granumat_parameters, only: material_parameters, MOBILISED
+  use granumat_parameters, only: material_parameters, friction_turns
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable
-  use granumat_stress, only: mobilised_deviator, pressure, pressure_factor
+  use granumat_stress, only: mobilised_deviator, pressure, pressure_factor, to_evolving, to_excess
   use granumat_substeps, only: integrate, internal_state, substep_record
   use granumat_tangent, only: N_COLUMNS, consistent_tangent
   use granumat_tensors, only: add_identity, deviator, rotate, rotation, times, to_voigt, trace
@@ -109,9 +109,9 @@ contains
     type(lane_state), intent(in) :: old
     type(internal_state), intent(out) :: x
     x%A = deviator(old%fabric)
-    x%excess = old%coordination_number - par%Zc
+    x%excess = to_evolving(par, x%A, old%coordination_number - par%Zc)
     x%phi = old%volume_fraction
-    if (par%closure == MOBILISED) then
+    if (friction_turns(par)) then
       x%dev = deviator(old%direction)
     else
       x%dev = deviator(old%stress)
@@ -126,15 +126,16 @@ contains
     type(internal_state), intent(in) :: x
     type(lane_state), intent(inout) :: new
     integer, intent(inout) :: status(LANES)
-    real(dp) :: factor(LANES), p(LANES), dev(LANES, 5)
+    real(dp) :: factor(LANES), p(LANES), dev(LANES, 5), excess(LANES)
 
     factor = pressure_factor(par, x%A, inc%tr_direction)
     new%fabric = to_voigt(x%A)
     where (status == OK .and. factor < 0) status = TENSILE_PRESSURE
     where (status == OK .and. .not. is_realisable(new%fabric)) status = FABRIC_BLOWS_UP
-    new%coordination_number = par%Zc + x%excess
-    p = pressure(par, factor, x%excess)
-    if (par%closure == MOBILISED) then
+    excess = to_excess(par, x%A, x%excess)
+    new%coordination_number = par%Zc + excess
+    p = pressure(par, factor, excess)
+    if (friction_turns(par)) then
       new%direction = add_identity(to_voigt(x%dev), followed_trace(par, old, inc) / 3)
       dev = times(p, mobilised_deviator(par, x%A, x%dev))
     else

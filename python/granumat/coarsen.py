@@ -15,7 +15,7 @@ import numpy as np
 
 from .calibrations import is_calibration_file
 from .checks import refuse
-from .material import UNUSED
+from .material import TURNING, UNUSED
 
 Content = dict[str, Any]
 
@@ -94,9 +94,9 @@ def _material(**values: Any) -> Callable[[Content], Content]:
 
 
 def closures(content: Content) -> Axis:
-    """The closure: from the file's own if that is "kinematic" or "mobilised", else "full", down to no microstructure at all."""
+    """The closure: from the file's own if that is not of the paper, else "full", down to no microstructure at all."""
     own = content.get("material", {}).get("closure", "full")
-    names = (own if own in ("kinematic", "mobilised") else "full", *CLOSURES[1:])
+    names = (own if own in ("kinematic", *TURNING) else "full", *CLOSURES[1:])
     rungs = [Rung(name, unchanged if name == own else _material(closure=name)) for name in names[:-1]]
     rungs.append(Rung("critical", unchanged if own == "critical" else _critical))
     return Axis("closure", MODEL, tuple(rungs), own=Rung(own, unchanged))
@@ -126,7 +126,7 @@ def _frees(entry: Mapping[str, Any]) -> bool:
 def relaxation(content: Content) -> Axis | None:
     """The elastic strain, with and without; None if the file has none, or a closure that needs it."""
     value = content.get("material", {}).get("elastic_strain", 0.0)
-    if value == 0 or content["material"].get("closure") == "mobilised":
+    if value == 0 or content["material"].get("closure") in TURNING:
         return None
     return Axis("elastic strain", MODEL, (Rung(f"{value:g}", unchanged), Rung("none", _material(elastic_strain=0.0))))
 
