@@ -132,16 +132,17 @@ def relaxation(content: Content) -> Axis | None:
 
 
 def constants(content: Content) -> list[Axis]:
-    """What is known badly: friction, elastic strain, the choice between the closures "full" and "kinematic"."""
+    """What is known badly: friction, elastic strain, the choice of the closure, of which "kinematic" or "full" is the other."""
     table = content.get("material", {})
     mu, e_r = table.get("mu", 0.5), table.get("elastic_strain", 0.0)
-    other = "full" if table.get("closure") == "kinematic" else "kinematic"
+    closure = table.get("closure", "full")
+    other = "full" if closure == "kinematic" else "kinematic"
     found = [("mu", f"{mu:g}", [(f"{value:g}", _material(mu=value)) for value in (mu / MU_FACTOR, min(mu * MU_FACTOR, 1.0))
                                if value != mu])]
     if e_r > 0:
         found.append(("e_r", f"{e_r:g}", [(f"{value:.3g}", _material(elastic_strain=value))
                                           for value in (e_r / ELASTIC_FACTOR, e_r * ELASTIC_FACTOR)]))
-    found.append(("choice of closure", "full" if other == "kinematic" else "kinematic", [(other, _material(closure=other))]))
+    found.append(("choice of closure", closure, [(other, _material(closure=other))]))
     return [Axis(name, CONSTANT, (Rung(own, unchanged), *(Rung(*rung) for rung in rungs))) for name, own, rungs in found if rungs]
 
 
