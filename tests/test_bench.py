@@ -33,7 +33,7 @@ def printed():
     (rf"^  e_r = 0 +(?:plane|3D) +(?:update|with tangent) +critical {NUMBER}  basic {NUMBER}  n2 {NUMBER}"
      rf"  kinematic {NUMBER}  full {NUMBER} ns$", 4),
     (rf"^  e_r = 0.01 +(?:plane|3D) +(?:update|with tangent) +critical {NUMBER}  basic {NUMBER}  n2 {NUMBER}"
-     rf"  kinematic {NUMBER}  mobilised {NUMBER}  full {NUMBER} ns$", 4),
+     rf"  kinematic {NUMBER}  mobilised {NUMBER}  mobilised-pressure {NUMBER}  full {NUMBER} ns$", 4),
     (rf"one UMAT call with all its arguments, {NUMBER} ns: {NUMBER} x an elastic UMAT's, {NUMBER} x a point in the batch", 1),
     (rf"^ +\d+ +{NUMBER} ns$", len(bench.QUICK.sizes)),
     (rf"^\| NumPy, aim \d+ \| [-0-9a-z ]+ \| {NUMBER} \| {NUMBER} \| 0 of 1 \|", 3),

@@ -9,16 +9,17 @@ from scipy.integrate import solve_ivp
 from granumat import ConstrainedDeformationWarning, Material, PathError, driver, tensors
 from granumat.progress import Progress
 from support import reference
+from support.states import CLOSURES_AND_STRAINS
 
 HOLD = 1e-9      # of the stress held: ten times path.f90's STRESS_TOLERANCE
 
 
-@pytest.mark.parametrize("closure, control, held", [
-    *((closure, "pressure", ["p"]) for closure in ("critical", "basic", "n2", "full", "kinematic")),
-    *((closure, "normal-stresses", ["sigma_xx", "sigma_yy", "sigma_zz"]) for closure in ("full", "kinematic")),
-    *((closure, "normal-load", ["sigma_zz"]) for closure in ("full", "kinematic"))])
-@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
+@pytest.mark.parametrize("control, held", [
+    ("pressure", ["p"]), ("normal-stresses", ["sigma_xx", "sigma_yy", "sigma_zz"]), ("normal-load", ["sigma_zz"])])
+@pytest.mark.parametrize(("closure", "elastic_strain"), CLOSURES_AND_STRAINS)
 def test_controls_hold_their_stresses_through_a_reversal(closure, elastic_strain, control, held):
+    if control != "pressure" and closure in ("critical", "basic", "n2"):
+        pytest.skip("has no path after a reversal (the next test)")
     material = Material(0.5, closure, elastic_strain=elastic_strain)
     steps = [driver.shear(0.5, control, 50), driver.pause(), driver.shear(-1.0, control, 100)]
     history = driver.run(material, material.steady(0.60), steps)

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material, MaterialError, driver, tensors
+from support.states import CLOSURES_AND_STRAINS
 
 SHEAR = np.zeros((3, 3))
 SHEAR[0, 2] = 1.0
 
 
-@pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
-@pytest.mark.parametrize("closure", ["critical", "basic", "n2", "full", "kinematic"])
+@pytest.mark.parametrize(("closure", "elastic_strain"), CLOSURES_AND_STRAINS)
 def test_zero_strain_holds_the_state_bit_for_bit(closure, elastic_strain):
     material = Material(0.5, closure, elastic_strain=elastic_strain)
     state = material.steady(0.60)

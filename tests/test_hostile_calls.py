@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from granumat import STATE, Material, driver, tensors
+from granumat.material import CLOSURES
 from support.refusals import check_refused
 
 SAND, OTHER = Material(0.5), Material(0.3)
@@ -198,7 +199,7 @@ def test_a_material_that_was_copied_or_pickled_is_the_same():
 
 
 def test_a_state_after_any_path_can_be_started_from():
-    for closure in ("critical", "basic", "n2", "full", "kinematic"):
+    for closure in CLOSURES:
         sand = Material(0.5, closure, elastic_strain=0.005)
         path = [driver.shear(0.2), driver.pause(), driver.shear(-0.3, "pressure"), driver.triaxial(-0.3, drained=False)]
         for state in driver.run(sand, sand.steady(0.60), path).states[::20]:

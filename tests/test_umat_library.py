@@ -11,7 +11,7 @@ import pytest
 
 from granumat import STATE, Material
 from granumat.core import status_message
-from granumat.material import CLOSURES, CONTACTS
+from granumat.material import CLOSURES, CONTACTS, TURNING
 from support.umat_host import BUILD, call, properties
 
 ROOT = Path(__file__).parents[1]
@@ -231,7 +231,7 @@ def test_the_fortran_interface_has_every_procedure_and_agrees_with_python(prefix
 @pytest.mark.parametrize("contact", CONTACTS)
 def test_states_to_start_from_are_those_of_python(closure, contact):
     core = ctypes.CDLL(str(BUILD / "python/granumat/lib/libgranumat_core.so"))
-    material = Material(0.5, closure, contact, elastic_strain=0.01 if closure == "mobilised" else 0.0)
+    material = Material(0.5, closure, contact, elastic_strain=0.01 if closure in TURNING else 0.0)
 
     def state(name, *numbers):
         found, status = np.zeros(1, STATE), ctypes.c_int(-1)

@@ -42,7 +42,7 @@ def tangent_along(state, props, sign):
     return call(np.zeros(6), statev_of(state), strain, props).ddsdde
 
 
-@pytest.mark.parametrize("closure", range(6))
+@pytest.mark.parametrize("closure", range(len(CLOSURES)))
 def test_the_tangent_without_a_strain_is_that_of_unloading(closure):
     state, props = sheared(0.001, CLOSURES[closure]), properties(elastic_strain=0.001, closure=closure)
     found = call(np.zeros(6), statev_of(state), np.zeros(6), props)

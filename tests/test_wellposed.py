@@ -5,6 +5,7 @@ import csv
 import numpy as np
 import pytest
 
+from granumat import Material
 from granumat.cli import main
 from granumat.studies import wellposed
 
@@ -32,6 +33,19 @@ def test_an_elastic_strain_does_not_change_which_closures_lose_it(closure, eigen
     assert loss["steady"] == pytest.approx(steady, abs=6e-4)
 
 
+@pytest.mark.parametrize("closure, eigenvalue, lasts", [("mobilised", -3.58, 0.79), ("mobilised-pressure", -4.23, 0.58)])
+def test_where_friction_turns_the_stiffness_in_compression_takes_the_shear_stress_along(closure, eigenvalue, lasts):
+    curve = wellposed.curve(0.5, closure, 0.01)
+    loss = curve.loss("eigenvalue")
+    assert loss["after_reversal"] == pytest.approx(eigenvalue, abs=0.01) == loss["steady"]
+    assert loss["duration"] == pytest.approx(lasts, abs=0.01)
+    material = Material(0.5, closure, elastic_strain=0.01)
+    steady = material.steady(material["phic"] + wellposed.DISTANCE)
+    compression = material.response(steady)[:, :3].sum(1) / 3                          # by tr D
+    ratio = 3 * steady.stress / steady.stress[:3].sum()
+    np.testing.assert_allclose(compression, compression[:3].mean() * ratio, rtol=0, atol=1e-9 * compression[0])
+
+
 @pytest.mark.release_only
 def test_the_command_writes_curves_table_and_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(wellposed, "MUS", (0.1, 0.5))
@@ -43,10 +57,10 @@ def test_the_command_writes_curves_table_and_picture(tmp_path, monkeypatch, caps
     assert " 0.5 kinematic        0.01   0.1520   0.000" in printed
     with open(tmp_path / "new/wellposed-loss.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * 6 * 2 * 4 and {row["closure"] for row in rows} == set(wellposed.CLOSURES)
+    assert len(rows) == 2 * (6 * 2 + 2) * 4 and {row["closure"] for row in rows} == set(wellposed.CLOSURES)
     with open(tmp_path / "new/wellposed.csv", newline="") as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == 2 * 6 * 2 * 51
+    assert len(rows) == 2 * (6 * 2 + 2) * 51
     kept = [float(row["eta_t"]) for row in rows if row["closure"] == "kinematic" and row["mu"] == "0.5"]
     np.testing.assert_allclose(kept, kept[0], rtol=1e-6)
     assert (tmp_path / "new/wellposed.png").read_bytes()[:4] == b"\x89PNG"

@@ -6,7 +6,7 @@
 !! integrand smooth up to phic itself (for beta2 = 1/2), so the quadrature keeps its order there.
 module granumat_coordination
   use granumat_kinds, only: dp, LANES
-  use granumat_law, only: coordination_rate, excess_target
+  use granumat_law, only: coordination_rate, evolving_target
   use granumat_parameters, only: material_parameters
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, NODE, exponential
   implicit none (type, external)
@@ -67,7 +67,7 @@ contains
     do i = 1, N_NODES
       growth(:, i) = exponential(rate * t(:, i))
       integrand(:, i) = growth(:, i) * dt(:, i) &
-        * coordination_rate(par, A_S(:, i), mod_S, mod_D, excess_target(par, phi(:, i) - par%phic), tr_D)
+        * coordination_rate(par, A_S(:, i), mod_S, mod_D, evolving_target(par, phi(:, i) - par%phic), tr_D)
     end do
     do m = AT_END, last
       decay(:, m) = exponential(-rate * t_place(:, m))

@@ -14,8 +14,8 @@ module granumat_mobilisation
 
   integer, parameter, public :: MAX_POWER = 20
   real(dp), parameter :: SERIES_TOLERANCE = 1.0e-17_dp   ! bound of the first neglected term: below round-off, as |M| <= 1
-  real(dp), parameter :: AT_KINK = 1.0e-12_dp            ! |M : S^| of a substep that starts where the one before was cut
-  integer, parameter :: BISECTIONS = 52                  ! of the interval in which a kink is looked for, down to round-off
+  real(dp), parameter :: AT_KINK = 1.0e-7_dp             ! |M : S^| up to which a substep starts where the one before was cut
+  integer, parameter :: BISECTIONS = 24                  ! to 2e-8: the integral over a kink errs by the square of its distance
 
   !> The coefficients of M.
   type, public :: mobilisation_solution
@@ -86,47 +86,46 @@ contains
   pure function share_to_kink(solution, S_hat) result(share)
     type(mobilisation_solution), intent(in) :: solution
     real(dp), intent(in) :: S_hat(LANES, 5)
-    real(dp) :: share(LANES), projection(LANES, 0:MAX_POWER), start, end, low, high
-    real(dp), parameter :: UNTIL(N_NODES + 1) = [NODE, 1.0_dp]
-    integer :: i, j, k, terms
+    real(dp), dimension(LANES) :: share, low, middle, start, before, after
+    real(dp), parameter :: UNTIL(0:N_NODES + 1) = [0.0_dp, NODE, 1.0_dp]
+    real(dp) :: M_S(LANES, 0:MAX_POWER)                ! coefficients of M : S^
+    logical :: changes(LANES)
+    integer :: j, k
 
-    terms = solution%terms
-    do k = 0, terms
-      projection(:, k) = contract(solution%M(:, :, k), S_hat)
+    do k = 0, solution%terms
+      M_S(:, k) = contract(solution%M(:, :, k), S_hat)
     end do
+    low = 1
     share = 1
-    lanes_: do i = 1, LANES
-      start = projection(i, 0)
-      low = 0
-      do j = 1, size(UNTIL)
-        high = UNTIL(j)
-        end = value_at(projection(i, :terms), high)
-        if (abs(start) > AT_KINK .and. start * end < 0) then
-          do k = 1, BISECTIONS
-            share(i) = (low + high) / 2
-            if (start * value_at(projection(i, :terms), share(i)) > 0) then
-              low = share(i)
-            else
-              high = share(i)
-            end if
-          end do
-          share(i) = high                    ! on the far side, so that the next substep finds no change of sign at its start
-          cycle lanes_
-        end if
-        start = end
-        low = high
-      end do
-    end do lanes_
+    start = 0
+    after = value_at(M_S(:, :solution%terms), share)
+    do j = N_NODES, 0, -1
+      before = value_at(M_S(:, :solution%terms), spread(UNTIL(j), 1, LANES))
+      changes = abs(before) > AT_KINK .and. before * after < 0
+      low = merge(UNTIL(j), low, changes)
+      share = merge(UNTIL(j + 1), share, changes)
+      start = merge(before, start, changes)
+      after = before
+    end do
+    if (all(low >= 1)) return
+    do k = 1, BISECTIONS
+      middle = (low + share) / 2
+      changes = start * value_at(M_S(:, :solution%terms), middle) <= 0
+      low = merge(low, middle, changes)
+      share = merge(middle, share, changes)
+    end do
   end function share_to_kink
 
+  !> A polynomial by its coefficients.
   pure function value_at(coefficient, t) result(v)
-    real(dp), intent(in) :: coefficient(0:), t
-    real(dp) :: v
+    real(dp), intent(in) :: coefficient(:, 0:)         ! (LANES, terms)
+    real(dp), intent(in) :: t(LANES)
+    real(dp) :: v(LANES)
     integer :: k
 
     v = 0
-    do k = ubound(coefficient, 1), 0, -1
-      v = v * t + coefficient(k)
+    do k = ubound(coefficient, 2), 0, -1
+      v = v * t + coefficient(:, k)
     end do
   end function value_at
 

@@ -9,11 +9,11 @@ module granumat_substeps
   use granumat_increment, only: increment
   use granumat_law, only: critical_state
   use granumat_mobilisation, only: direction_at_end, mobilisation_solution, share_to_kink, shares_at, solve_mobilisation
-  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
+  use granumat_parameters, only: material_parameters, CRITICAL, deviator_relaxes, friction_turns
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, choose_places, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
-  use granumat_stress, only: mobilised_deviator, model_deviator, pressure, pressure_factor, stress_deviator
+  use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
   use granumat_tensors, only: contract, magnitude, matrix_times, rotation_angle, rotation_of_deviators, &
     small_rotation, times, times_spin
   implicit none (type, external)
@@ -40,11 +40,10 @@ module granumat_substeps
   !> What evolves inside an increment.
   type, public :: internal_state
     real(dp) :: A(LANES, 5)            !! fabric
-    real(dp) :: excess(LANES)          !! Z2 - Zc
+    real(dp) :: excess(LANES)          !! Z2 - Zc, or what evolves in its place (to_evolving)
     real(dp) :: phi(LANES)
     real(dp) :: log_phi(LANES)         !! ln(phi/phic)
-    real(dp) :: dev(LANES, 5)          !! deviatoric stress, tension positive
-    real(dp) :: M(LANES, 5)            !! mobilised direction of friction, in the closure that has one
+    real(dp) :: dev(LANES, 5)          !! deviatoric stress, tension positive; where friction turns, its mobilised direction M
   end type internal_state
 
   !> A substep before it is taken: where it starts, its share of the increment, and ln(phi/phic) at its end.
@@ -142,8 +141,8 @@ contains
       steps = remainder * graded_rate / SUBSTEP_RATE
       next_remainder = remainder - remainder / aint(1 + min(steps, real(MAX_SUBSTEPS, dp)))
       share_next = remainder - next_remainder
-      if (par%closure == MOBILISED) then
-        share_next = up_to_kink(par, inc, x%M, share_next)
+      if (friction_turns(par)) then
+        share_next = up_to_kink(par, inc, x%dev, share_next)
         next_remainder = remainder - share_next
       end if
       log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
@@ -162,14 +161,14 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: M(LANES, 5), share(LANES)
-    real(dp) :: cut(LANES), M_S(LANES), turned(LANES)
+    real(dp) :: cut(LANES), M_S(LANES), distance(LANES)
     type(mobilisation_solution) :: solution
 
     ! |M|, |S^| <= 1: M : S^ falls by the spin alone while it is positive, by 4 times its angle at most
     cut = share
     M_S = contract(M, inc%S_hat)
-    turned = 4 * share * rotation_angle(inc%spin)
-    if (all(M_S > turned .or. -M_S > turned + 4 * share * inc%mod_D / par%elastic_strain .or. share <= 0)) return
+    distance = max(M_S, -M_S - 4 / par%elastic_strain * share * inc%mod_D) - 4 * share * rotation_angle(inc%spin)
+    if (all(distance > 0 .or. share <= 0)) return
     call solve_mobilisation(par, M, inc%S_hat, share * inc%mod_D, times_spin(share, inc%spin), solution)
     cut = share * share_to_kink(solution, inc%S_hat)
   end function up_to_kink
@@ -209,7 +208,7 @@ contains
       rate = CRITICAL_REFINEMENT * 2 * (rotation_angle(inc%spin) + abs(inc%tr_D))
     else
       rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
-      if (par%closure == MOBILISED) rate = rate + inc%mod_D / par%elastic_strain
+      if (friction_turns(par)) rate = rate + inc%mod_D / par%elastic_strain
     end if
   end function rate_bound
 
@@ -285,7 +284,8 @@ contains
         call critical_state(par, inc%S_hat, step%phi_place(:, i), step%A(:, :, i), step%excess(:, i))
       end do
     else
-      call evolve_microstructure(par, inc, x, step, status)
+      call evolve_microstructure(par, x, step, status)
+      if (friction_turns(par)) call mobilise(par, inc%S_hat, x%dev, step)
     end if
     x%phi = x%phi * exponential(-step%tr_D)
     x%log_phi = log_phi_end
@@ -293,22 +293,19 @@ contains
     x%excess = step%excess(:, AT_END)
     if (deviator_relaxes(par)) then
       call relax(par, inc, step, x%dev)
-    else if (par%closure == MOBILISED) then
-      x%M = direction_at_end(step%mobilisation)
-      x%dev = times(pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess), mobilised_deviator(par, x%A, x%M))
+    else if (friction_turns(par)) then
+      x%dev = direction_at_end(step%mobilisation)
     else
       x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
     end if
   end subroutine take_substep
 
-  !> Fabric and coordination number of a substep, and how far friction is mobilised at the nodes.
-  pure subroutine evolve_microstructure(par, inc, x, step, status)
+  !> Fabric and coordination number of a substep.
+  pure subroutine evolve_microstructure(par, x, step, status)
     type(material_parameters), intent(in) :: par
-    type(increment), intent(in) :: inc
     type(internal_state), intent(in) :: x         ! at the start
     type(substep_solution), intent(inout) :: step
     integer, intent(inout) :: status(LANES)
-    real(dp) :: idle(LANES)                       ! what d1 chi (1 - m) |S|, by which (4.8) differs, adds to the integrand
     integer :: i
 
     do i = 1, N_NODES
@@ -325,16 +322,24 @@ contains
       status = FABRIC_BLOWS_UP
     call integrate_coordination(par, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
       step%integrals, step%t_place, step%last, step%growth, step%integrand, step%decay_place, step%excess)
-    if (par%closure == MOBILISED) then
-      call solve_mobilisation(par, x%M, inc%S_hat, step%mod_D, step%w, step%mobilisation)
-      step%mobilised = shares_at(step%mobilisation, inc%S_hat, step%t)
-      do i = 1, N_NODES
-        idle = step%growth(:, i) * step%dt(:, i) * par%d1 * par%chi * (1 - step%mobilised(:, i)) * magnitude(step%S)
-        step%integrand(:, i) = step%integrand(:, i) + idle
-        step%excess(:, AT_END) = step%excess(:, AT_END) + step%decay_place(:, AT_END) * step%integrals(:, i, AT_END) * idle
-      end do
-    end if
   end subroutine evolve_microstructure
+
+  !> The mobilised direction in a substep, its share at the nodes, and Z2 - Zc at the end with it.
+  pure subroutine mobilise(par, S_hat, M, step)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: S_hat(LANES, 5), M(LANES, 5)           ! M at the start
+    type(substep_solution), intent(inout) :: step
+    real(dp) :: idle(LANES)                       ! what d1 chi (1 - m) |S|, by which (4.8) differs, adds to the integrand
+    integer :: i
+
+    call solve_mobilisation(par, M, S_hat, step%mod_D, step%w, step%mobilisation)
+    step%mobilised = shares_at(step%mobilisation, S_hat, step%t)
+    do i = 1, N_NODES
+      idle = step%growth(:, i) * step%dt(:, i) * par%d1 * par%chi * (1 - step%mobilised(:, i)) * magnitude(step%S)
+      step%integrand(:, i) = step%integrand(:, i) + idle
+      step%excess(:, AT_END) = step%excess(:, AT_END) + step%decay_place(:, AT_END) * step%integrals(:, i, AT_END) * idle
+    end do
+  end subroutine mobilise
 
   !> The deviatoric stress after a substep with e_r > 0: what is left of the old one, and the model's at the places by their
   !! weights, all rotated to the end.

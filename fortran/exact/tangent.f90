@@ -10,14 +10,14 @@ module granumat_tangent
   use granumat_kinds, only: dp, LANES
   use granumat_fabric, only: MAX_TERMS, adjoint_fabric
   use granumat_increment, only: increment
-  use granumat_law, only: excess_target, excess_target_slope
+  use granumat_law, only: evolving_target, evolving_target_slope, excess_target_slope
   use granumat_mobilisation, only: MAX_POWER, adjoint_mobilisation
-  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED, deviator_relaxes
+  use granumat_parameters, only: material_parameters, CRITICAL, deviator_relaxes, friction_turns
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES
   use granumat_relaxation, only: relaxation_weights_slope
   use granumat_status, only: OK
   use granumat_stress, only: pressure, pressure_factor, pressure_derivative, pressure_slopes, stress_deviator, deviator_slopes, &
-    mobilised_deviator, mobilised_slopes
+    mobilised_deviator, mobilised_slopes, to_excess
   use granumat_substeps, only: internal_state, substep_record, substep_solution, take_substep
   use granumat_tensors, only: add_identity, commutator_of_spins, contract, magnitude, product_matrix, rotation_series, &
     spin_derivative, times, times_spin, to_voigt, transposed_times
@@ -105,9 +105,9 @@ contains
       do i = 1, n - 1
         f(i)%dev(:, i) = 1
       end do
-    else if (par%closure == MOBILISED) then
-      dev_over_p = mobilised_deviator(par, x%A, x%M)
-      p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess)
+    else if (friction_turns(par)) then
+      dev_over_p = mobilised_deviator(par, x%A, x%dev)
+      p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), to_excess(par, x%A, x%excess))
       by_A = mobilised_slopes(par, x%A)
       do i = 1, n - 1
         f(i)%A = times(p, by_A(:, :, i)) + times(dev_over_p(:, i), f(n)%A)
@@ -169,12 +169,13 @@ contains
       end do
     else
       call share_derivatives(par, step, shared)
+      if (friction_turns(par)) call share_friction(par, step, shared)
       do i = 1, n
         relaxes = deviator_relaxes(par) .and. i < n
         call adjoint_coordination(par, step, shared, merge(step%last, AT_END, relaxes), at(i), f(i))
         if (relaxes) f(i)%A = f(i)%A + at(i)%A(:, :, AT_START)
         if (relaxes) f(i)%excess = f(i)%excess + at(i)%excess(:, AT_START)
-        if (par%closure == MOBILISED) call adjoint_friction(par, inc, step, shared, at(i)%excess(:, AT_END), f(i))
+        if (friction_turns(par)) call adjoint_friction(par, inc, step, shared, at(i)%excess(:, AT_END), f(i))
       end do
     end if
   end subroutine adjoint_substep
@@ -193,8 +194,8 @@ contains
 
     shared%terms = count([(any(step%fabric%bound(:, i) >= ADJOINT_SERIES_TOLERANCE), i = 0, step%fabric%terms - 1)])
     do i = 1, N_NODES
-      f(:, i) = excess_target(par, step%phi(:, i) - par%phic)
-      f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * excess_target_slope(par, step%phi(:, i) - par%phic)
+      f(:, i) = evolving_target(par, step%phi(:, i) - par%phic)
+      f_slope(:, i) = par%d2 * step%mod_D * step%phi(:, i) * evolving_target_slope(par, step%phi(:, i) - par%phic)
     end do
     inverse_y = 1 / step%y
     before = 1
@@ -229,12 +230,6 @@ contains
       shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
       shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
       shared%by_mod_D(:, m) = par%d2 * step%share * shared%by_mod_D(:, m)
-      if (par%closure == MOBILISED) then
-        do i = 1, N_NODES
-          shared%by_mod_S(:, m) = shared%by_mod_S(:, m) + par%d1 * par%chi * step%share * (1 - step%mobilised(:, i)) * kernel(:, i)
-          shared%by_mobilised(:, i) = merge(-par%d1 * par%chi * magnitude(step%S) * kernel(:, i), 0.0_dp, step%mobilised(:, i) > 0)
-        end do
-      end if
       power = 1
       do k = 0, shared%terms
         shared%weight(:, k, m) = needed(:, k) * power
@@ -244,6 +239,21 @@ contains
       end do
     end do
   end subroutine share_derivatives
+
+  !> Those of them in which the mobilised share of friction appears, at the end of the substep.
+  pure subroutine share_friction(par, step, shared)
+    type(material_parameters), intent(in) :: par
+    type(substep_solution), intent(in) :: step
+    type(shared_derivatives), intent(inout) :: shared
+    real(dp) :: by_loss(LANES)                           ! of Z2 - Zc by m |S| at a node
+    integer :: i
+
+    do i = 1, N_NODES
+      by_loss = -par%d1 * par%chi * step%integrals(:, i, AT_END) * step%growth(:, i) * step%dt(:, i) * step%decay_place(:, AT_END)
+      shared%by_mod_S(:, AT_END) = shared%by_mod_S(:, AT_END) - step%share * (1 - step%mobilised(:, i)) * by_loss
+      shared%by_mobilised(:, i) = merge(magnitude(step%S) * by_loss, 0.0_dp, step%mobilised(:, i) > 0)
+    end do
+  end subroutine share_friction
 
   !> The adjoints of the coordination number and the fabric: to A and Z2 - Zc at the start.
   pure subroutine adjoint_coordination(par, step, shared, last, at, f)

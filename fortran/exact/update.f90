@@ -6,12 +6,12 @@ module granumat_update
   use granumat_kinds, only: dp, LANES
   use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, FABRIC_BLOWS_UP, TENSILE_PRESSURE, RESULT_NOT_FINITE
   use granumat_increment, only: increment, to_increment
-  use granumat_parameters, only: material_parameters, MOBILISED
+  use granumat_parameters, only: material_parameters, friction_turns
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable
-  use granumat_stress, only: pressure, pressure_factor
+  use granumat_stress, only: mobilised_deviator, pressure, pressure_factor, to_evolving, to_excess
   use granumat_substeps, only: integrate, internal_state, substep_record
   use granumat_tangent, only: N_COLUMNS, consistent_tangent
-  use granumat_tensors, only: add_identity, deviator, rotate, rotation, to_voigt, trace
+  use granumat_tensors, only: add_identity, deviator, rotate, rotation, times, to_voigt, trace
   implicit none (type, external)
   private
   public :: update, status_before, to_internal, to_state, complete, rotated
@@ -109,10 +109,13 @@ contains
     type(lane_state), intent(in) :: old
     type(internal_state), intent(out) :: x
     x%A = deviator(old%fabric)
-    x%excess = old%coordination_number - par%Zc
+    x%excess = to_evolving(par, x%A, old%coordination_number - par%Zc)
     x%phi = old%volume_fraction
-    x%dev = deviator(old%stress)
-    x%M = deviator(old%direction)
+    if (friction_turns(par)) then
+      x%dev = deviator(old%direction)
+    else
+      x%dev = deviator(old%stress)
+    end if
   end subroutine to_internal
 
   !> States from what has evolved, all but the volume fraction, and whether they are admissible.
@@ -123,16 +126,23 @@ contains
     type(internal_state), intent(in) :: x
     type(lane_state), intent(inout) :: new
     integer, intent(inout) :: status(LANES)
-    real(dp) :: factor(LANES)
+    real(dp) :: factor(LANES), p(LANES), dev(LANES, 5), excess(LANES)
 
     factor = pressure_factor(par, x%A, inc%tr_direction)
     new%fabric = to_voigt(x%A)
     where (status == OK .and. factor < 0) status = TENSILE_PRESSURE
     where (status == OK .and. .not. is_realisable(new%fabric)) status = FABRIC_BLOWS_UP
-    new%coordination_number = par%Zc + x%excess
-    new%direction = inc%direction
-    if (par%closure == MOBILISED) new%direction = add_identity(to_voigt(x%M), followed_trace(par, old, inc) / 3)
-    new%stress = add_identity(to_voigt(x%dev), -pressure(par, factor, x%excess))
+    excess = to_excess(par, x%A, x%excess)
+    new%coordination_number = par%Zc + excess
+    p = pressure(par, factor, excess)
+    if (friction_turns(par)) then
+      new%direction = add_identity(to_voigt(x%dev), followed_trace(par, old, inc) / 3)
+      dev = times(p, mobilised_deviator(par, x%A, x%dev))
+    else
+      new%direction = inc%direction
+      dev = x%dev
+    end if
+    new%stress = add_identity(to_voigt(dev), -p)
   end subroutine to_state
 
   !> The trace of the direction where that follows D^ over the strain e_r, as its deviator M does.

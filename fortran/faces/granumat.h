@@ -12,7 +12,8 @@ extern "C" {
 #endif
 
 enum granumat_closure {
-    GRANUMAT_CRITICAL, GRANUMAT_BASIC, GRANUMAT_N2, GRANUMAT_FULL, GRANUMAT_KINEMATIC, GRANUMAT_MOBILISED
+    GRANUMAT_CRITICAL, GRANUMAT_BASIC, GRANUMAT_N2, GRANUMAT_FULL, GRANUMAT_KINEMATIC, GRANUMAT_MOBILISED,
+    GRANUMAT_MOBILISED_PRESSURE
 };
 enum granumat_contact { GRANUMAT_HOOKEAN, GRANUMAT_HERTZIAN };
 enum granumat_calibration { GRANUMAT_TABLE_1, GRANUMAT_TEXT, GRANUMAT_FIGURE_16 };
@@ -75,7 +76,7 @@ struct granumat_parameters {
 struct granumat_state {
     double stress[6];
     double fabric[6];                     /* A (3.1) */
-    double direction[6];                  /* D/abs(D) of the last strain, 0 before any; MOBILISED: followed over e_r */
+    double direction[6];                  /* D/abs(D) of the last strain, 0 before any; MOBILISED*: followed over e_r */
     double coordination_number;           /* Z2 */
     double volume_fraction;               /* phi */
 };

@@ -11,7 +11,7 @@ module granumat_c
     granumat_arithmetic
 
   integer(c_int), parameter, public :: GRANUMAT_CRITICAL = 0, GRANUMAT_BASIC = 1, GRANUMAT_N2 = 2, GRANUMAT_FULL = 3, &
-    GRANUMAT_KINEMATIC = 4, GRANUMAT_MOBILISED = 5
+    GRANUMAT_KINEMATIC = 4, GRANUMAT_MOBILISED = 5, GRANUMAT_MOBILISED_PRESSURE = 6
   integer(c_int), parameter, public :: GRANUMAT_HOOKEAN = 0, GRANUMAT_HERTZIAN = 1
   integer(c_int), parameter, public :: GRANUMAT_TABLE_1 = 0, GRANUMAT_TEXT = 1, GRANUMAT_FIGURE_16 = 2
   integer, parameter, public :: GRANUMAT_CONSTANTS = 20, GRANUMAT_NAME = 16, GRANUMAT_MESSAGE = 120

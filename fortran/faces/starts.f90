@@ -2,7 +2,7 @@
 module granumat_starts
   use granumat_kinds, only: dp, LANES
   use granumat_law, only: volume_fraction_of
-  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN, MOBILISED
+  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN, friction_turns
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_status, only: OK, BAD_INITIAL_STATE
   use granumat_stress, only: evaluate
@@ -67,7 +67,7 @@ contains
     x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=phi)
     gamma = 2 * STEADY_DECAYS / max(par%d2, SLOWEST_DECAY)
     parts = 1
-    if (par%closure == MOBILISED) parts = ceiling(gamma / (LONGEST_PART * par%elastic_strain))
+    if (friction_turns(par)) parts = ceiling(gamma / (LONGEST_PART * par%elastic_strain))
     strain = 0
     strain(:, 5) = gamma / parts
     spin = 0

@@ -10,7 +10,8 @@ module granumat_umat
     PLANE_STRESS, STRAIN_TOO_LARGE, status_message
   use granumat_law, only: excess_target
   use granumat_matrices, only: gradient_logarithm, polar_rotation, rotation_logarithm
-  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, FIGURE_16, HERTZIAN, MOBILISED
+  use granumat_parameters, only: material_parameters, parameters_from_friction, are_valid, friction_turns, FIGURE_16, HERTZIAN, &
+    MOBILISED, MOBILISED_PRESSURE
   use granumat_state, only: lane_state, material_state, gather, scatter
   use granumat_starts, only: excess_under, isotropic_state
   use granumat_tangent, only: N_COLUMNS, N_ADJOINTS_3D, N_ADJOINTS_PLANE
@@ -23,9 +24,9 @@ module granumat_umat
   ! What each number of PROPS and STATEV is. docs/umat.md and the decks repeat this table, a test compares them.
   integer, parameter :: P_MU = 1                !! interparticle friction coefficient, 0 to 1
   integer, parameter :: P_STIFFNESS = 2         !! stress unit: k/d (Hookean), k_Hz (Hertzian)
-  integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic, 5 mobilised
+  integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic, 5 mobilised, 6 mobilised-pressure
   integer, parameter :: P_CONTACT = 4           !! 0 Hookean, 1 Hertzian
-  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress, or in closure 5 friction, adapts; 0: the paper
+  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress, or in closures 5, 6 friction, adapts; 0: the paper
   integer, parameter :: P_PHI = 6               !! initial volume fraction
   integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
   integer, parameter :: P_SPIN = 8              !! 0 none, 1 DROT, 2 DFGRD; 3 as 2, STRESS unrotated; 4 as 3, DDSDDE for CalculiX
@@ -49,9 +50,9 @@ module granumat_umat
   type(property), parameter, public :: PROPERTIES(N_PROPS) = [ &
     property("mu",             0.0_dp,       1.0_dp,                      .false., "0 to 1",                "-"), &
     property("stiffness",      tiny(1.0_dp), huge(1.0_dp),                .false., "above 0",               "F/L^2#"), &
-    property("closure",        0.0_dp,       real(MOBILISED, dp),         .true.,  "0, 1, 2, 3, 4 or 5",    "-"), &
+    property("closure",        0.0_dp,       real(MOBILISED_PRESSURE, dp), .true., "0, 1, 2, 3, 4, 5 or 6", "-"), &
     property("contact",        0.0_dp,       real(HERTZIAN, dp),          .true.,  "0 or 1",                "-"), &
-    property("elastic_strain", 0.0_dp,       huge(1.0_dp),                .false., "at least 0, in closure 5 above 0", "-"), &
+    property("elastic_strain", 0.0_dp,       huge(1.0_dp),                .false., "at least 0, in 5, 6 above 0", "-"), &
     property("phi",            tiny(1.0_dp), 1 - epsilon(1.0_dp),         .false., "between 0 and 1",       "-"), &
     property("pressure",       0.0_dp,       huge(1.0_dp),                .false., "at least 0",            "F/L^2#"), &
     property("spin",           0.0_dp,       real(SPIN_CALCULIX, dp),     .true.,  "0, 1, 2, 3 or 4",       "-"), &
@@ -193,7 +194,7 @@ contains
       faulty(i) = .not. (given(i) >= PROPERTIES(i)%least .and. given(i) <= PROPERTIES(i)%most)
       if (.not. faulty(i)) faulty(i) = PROPERTIES(i)%whole .and. abs(given(i) - anint(given(i))) > 0
     end do
-    if (abs(given(P_CLOSURE) - MOBILISED) <= 0 .and. .not. given(P_ELASTIC_STRAIN) > 0) faulty(P_ELASTIC_STRAIN) = .true.
+    if (given(P_CLOSURE) >= MOBILISED .and. .not. given(P_ELASTIC_STRAIN) > 0) faulty(P_ELASTIC_STRAIN) = .true.
   end function at_fault
 
   pure function layout_status(ntens, nstatv) result(status)
@@ -319,7 +320,7 @@ contains
     if (.not. all(abs(handed) <= huge(handed))) status = NOT_FINITE
     x%stress = x%stress + handed
     x%stress(:3) = x%stress(:3) - sum(handed(:3)) / 3
-    if (par%closure == MOBILISED) call mobilise(par, x)
+    if (friction_turns(par)) call mobilise(par, x)
   end subroutine start
 
   !> Gives an isotropic packing the direction of friction which its deviatoric stress asks for, of magnitude 1 at most.

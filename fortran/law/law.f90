@@ -5,12 +5,12 @@
 !! W and tr D. docs/theory.md, section 1, has the conventions and where this departs from the print.
 module granumat_law
   use granumat_kinds, only: dp, LANES
-  use granumat_parameters, only: material_parameters
+  use granumat_parameters, only: material_parameters, pressure_evolves
   use granumat_tensors, only: contract, corotate, times
   implicit none (type, external)
   private
   public :: fabric_rate, linear_fabric_rate, coordination_rate, excess_target, excess_target_slope, &
-    volume_fraction_of, relaxation_rate, mobilised_share, critical_state
+    evolving_target, evolving_target_slope, volume_fraction_of, relaxation_rate, mobilised_share, critical_state
 
 contains
 
@@ -32,7 +32,7 @@ contains
   end function linear_fabric_rate
 
   !> (4.8): dZ2/dt = d1 (A : S - chi |S|) + d2 |D| (f - Z2) + d3 tr D, with f - Z2 as `missing`; m |S| for |S| where friction
-  !! turns.
+  !! turns, and the same for what evolves in place of Z2 - Zc where that is the pressure.
   pure function coordination_rate(par, A_S, mod_S, mod_D, missing, tr_D) result(dot_Z2)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in), dimension(LANES) :: A_S, mod_S, mod_D, missing, tr_D
@@ -57,6 +57,27 @@ contains
     real(dp) :: slope(LANES)
     slope = merge(par%beta2 * excess_target(par, distance) / max(distance, tiny(1.0_dp)), 0.0_dp, distance > 0)
   end function excess_target_slope
+
+  !> What Z2 - Zc in (4.8) decays to; where the pressure evolves, what it decays to, beta1^2 (phi - phic)/2 on both sides of phic.
+  pure function evolving_target(par, distance) result(target)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: distance(LANES)
+    real(dp) :: target(LANES)
+    if (pressure_evolves(par)) then
+      target = par%beta1**2 / 2 * distance
+    else
+      target = excess_target(par, distance)
+    end if
+  end function evolving_target
+
+  !> Its derivative by phi.
+  pure function evolving_target_slope(par, distance) result(slope)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: distance(LANES)
+    real(dp) :: slope(LANES)
+    slope = par%beta1**2 / 2
+    if (.not. pressure_evolves(par)) slope = excess_target_slope(par, distance)
+  end function evolving_target_slope
 
   !> The volume fraction whose f(phi) - Zc is a given excess above 0: the inverse of (4.9).
   pure function volume_fraction_of(par, excess) result(phi)

@@ -7,7 +7,8 @@ module granumat_parameters
   use granumat_kinds, only: dp
   implicit none (type, external)
   private
-  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid, deviator_relaxes
+  public :: parameters_from_friction, derive_constants, faulty_constants, are_valid, deviator_relaxes, friction_turns, &
+    pressure_evolves
 
   !> The numbers of a material; the first N_CONSTANTS are the user's to override, the rest follows from them.
   type, public, bind(c) :: material_parameters
@@ -27,7 +28,8 @@ module granumat_parameters
     integer(c_int) :: closure, contact
   end type material_parameters
 
-  integer, parameter, public :: CRITICAL = 0, BASIC = 1, N2 = 2, FULL = 3, KINEMATIC = 4, MOBILISED = 5    ! closures
+  integer, parameter, public :: CRITICAL = 0, BASIC = 1, N2 = 2, FULL = 3, KINEMATIC = 4, MOBILISED = 5, &
+    MOBILISED_PRESSURE = 6                                                                    ! closures
   integer, parameter, public :: HOOKEAN = 0, HERTZIAN = 1                                     ! contacts
   integer, parameter, public :: TABLE_1 = 0, TEXT = 1, FIGURE_16 = 2                          ! calibrations
 
@@ -102,7 +104,7 @@ contains
       par%a4 = fit(-6.0_dp, -2.0_dp, 6.0_dp)
     end select
     if (closure == BASIC) par%a3 = 0
-    if (closure == KINEMATIC .or. closure == MOBILISED) par%a4 = -2 * par%b2
+    if (closure >= KINEMATIC) par%a4 = -2 * par%b2
     if (closure < FULL) par%a4 = 0
     call derive_constants(par)
 
@@ -116,7 +118,8 @@ contains
 
   end function parameters_from_friction
 
-  !> Sets chi, kappa, lambda (A 7)-(A 9) and the fabric's limit from c1, c2, c3.
+  !> Sets chi, kappa, lambda (A 7)-(A 9) and the fabric's limit from c1, c2, c3; where the pressure evolves, also g and beta2,
+  !! which have no role there.
   pure subroutine derive_constants(par)
     type(material_parameters), intent(inout) :: par
     real(dp) :: root
@@ -126,6 +129,10 @@ contains
     par%kappa = sqrt(-par%c1 * par%chi / (2 * (par%c2 + par%c3 * par%chi)))
     par%lambda = -par%c1 / (par%c2 + par%c3 * par%chi)
     par%fabric_limit = (root - par%c2) / (4 * par%c3)
+    if (pressure_evolves(par)) then
+      par%g = 0
+      par%beta2 = 0.5_dp
+    end if
   end subroutine derive_constants
 
   !> Which constants are not finite or outside their range.
@@ -146,15 +153,29 @@ contains
   pure function deviator_relaxes(par) result(relaxes)
     type(material_parameters), intent(in) :: par
     logical :: relaxes
-    relaxes = par%elastic_strain > 0 .and. par%closure /= MOBILISED
+    relaxes = par%elastic_strain > 0 .and. .not. friction_turns(par)
   end function deviator_relaxes
+
+  !> Whether friction has a direction M of its own, which follows S^ over e_r.
+  pure function friction_turns(par) result(turns)
+    type(material_parameters), intent(in) :: par
+    logical :: turns
+    turns = par%closure >= MOBILISED
+  end function friction_turns
+
+  !> Whether (4.8) gives the rate of the pressure, and Z2 follows from it.
+  pure function pressure_evolves(par) result(evolves)
+    type(material_parameters), intent(in) :: par
+    logical :: evolves
+    evolves = par%closure == MOBILISED_PRESSURE
+  end function pressure_evolves
 
   !> Whether all constants are in range, what follows from them is finite, kappa is positive, and so is e_r where friction turns.
   pure function are_valid(par) result(valid)
     type(material_parameters), intent(in) :: par
     logical :: valid
     valid = .not. any(faulty_constants(par)) .and. all(abs([par%chi, par%kappa, par%lambda, par%fabric_limit]) <= huge(1.0_dp))
-    if (valid) valid = par%kappa > 0 .and. (par%closure /= MOBILISED .or. par%elastic_strain > 0)
+    if (valid) valid = par%kappa > 0 .and. (.not. friction_turns(par) .or. par%elastic_strain > 0)
   end function are_valid
 
 end module granumat_parameters

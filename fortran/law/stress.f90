@@ -4,15 +4,15 @@
 module granumat_stress
   use granumat_kinds, only: dp, LANES
   use granumat_law, only: critical_state
-  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN, MOBILISED
+  use granumat_parameters, only: material_parameters, CRITICAL, HERTZIAN, friction_turns, pressure_evolves
   use granumat_state, only: lane_state
   use granumat_tensors, only: add_identity, contract, deviator, magnitude, product_deviator, product_matrix, times, to_voigt, trace
   implicit none (type, external)
   private
   public :: evaluate, pressure_factor, pressure, pressure_slopes, friction, stress_deviator, model_deviator, deviator_slopes, &
-    mobilised_deviator, mobilised_slopes
+    mobilised_deviator, mobilised_slopes, to_evolving, to_excess
 
-  !> Slopes of the pressure: dp = A (A : dA) + trace d(tr D^) + excess d(Z2 - Zc).
+  !> Slopes of the pressure: dp = A (A : dA) + trace d(tr D^) + excess d(Z2 - Zc), or what evolves in place of Z2 - Zc.
   type, public :: pressure_derivative
     real(dp), dimension(LANES) :: A, trace, excess
   end type pressure_derivative
@@ -38,6 +38,29 @@ contains
     p = factor * max(excess, 0.0_dp)**2
     if (par%contact == HERTZIAN) p = sqrt(p)**3
   end function pressure
+
+  !> What evolves by (4.8): Z2 - Zc; or, where that is the pressure, v = p d/k/(2 (a1 + a2 kappa)), with (4.2) and the sign of
+  !! Z2 - Zc (docs/theory.md, section 11.4).
+  pure function to_evolving(par, A, excess) result(evolving)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 5), excess(LANES)        ! excess = Z2 - Zc
+    real(dp) :: evolving(LANES)
+    evolving = excess
+    if (pressure_evolves(par)) &
+      evolving = excess * abs(excess) / 2 * (par%a1 + par%a2 * magnitude(A)) / (par%a1 + par%a2 * par%kappa)
+  end function to_evolving
+
+  !> Z2 - Zc: the inverse of to_evolving.
+  pure function to_excess(par, A, evolving) result(excess)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 5), evolving(LANES)
+    real(dp) :: excess(LANES), factor(LANES)
+    excess = evolving
+    if (pressure_evolves(par)) then
+      factor = max(par%a1 + par%a2 * magnitude(A), tiny(1.0_dp))
+      excess = sign(sqrt(2 * abs(evolving) * (par%a1 + par%a2 * par%kappa) / factor), evolving)
+    end if
+  end function to_excess
 
   !> (4.5), (4.6): eta = b1 + b2 x + b3 x^2, x = A : S^, which is chi in the critical-state closure (A 12).
   pure function friction(par, A, S_hat) result(eta)
@@ -73,13 +96,13 @@ contains
   end function model_deviator
 
   !> The derivatives of the pressure.
-  pure function pressure_slopes(par, A, tr_direction, excess) result(by)
+  pure function pressure_slopes(par, A, tr_direction, evolving) result(by)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: A(LANES, 5), tr_direction(LANES), excess(LANES)
+    real(dp), intent(in) :: A(LANES, 5), tr_direction(LANES), evolving(LANES)     ! of to_evolving
     type(pressure_derivative) :: by
     real(dp), dimension(LANES) :: factor, z, outer
 
-    z = max(excess, 0.0_dp)
+    z = max(to_excess(par, A, evolving), 0.0_dp)
     factor = pressure_factor(par, A, tr_direction)
     outer = 1
     if (par%contact == HERTZIAN) outer = 1.5_dp * sqrt(max(factor, 0.0_dp)) * z
@@ -87,6 +110,10 @@ contains
     if (par%closure /= CRITICAL) by%A = outer * z**2 * par%a2 / (2 * max(magnitude(A), tiny(1.0_dp)))
     by%trace = outer * z**2 * par%g
     by%excess = 2 * outer * factor * z
+    if (pressure_evolves(par)) then
+      by%A = 0
+      by%excess = merge(2 * outer * (par%a1 + par%a2 * par%kappa), 0.0_dp, evolving > 0)
+    end if
   end function pressure_slopes
 
   !> The derivatives of the stress deviator by A and by S^ at constant pressure; the first is symmetric.
@@ -157,7 +184,7 @@ contains
     end if
     eta = friction(par, A, S_hat)
     p = pressure(par, pressure_factor(par, A, trace(x%direction)), excess)
-    if (par%closure == MOBILISED) then
+    if (friction_turns(par)) then
       x%stress = add_identity(to_voigt(times(p, mobilised_deviator(par, A, S_hat))), -p)
     else
       x%stress = add_identity(to_voigt(stress_deviator(par, A, S_hat, p)), -p)

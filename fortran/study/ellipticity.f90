@@ -11,12 +11,12 @@
 module granumat_ellipticity
   use, intrinsic :: ieee_arithmetic, only: ieee_quiet_nan, ieee_value
   use granumat_kinds, only: dp, LANES
-  use granumat_law, only: coordination_rate, excess_target, excess_target_slope, fabric_rate, mobilised_share, relaxation_rate
+  use granumat_law, only: coordination_rate, evolving_target, excess_target_slope, fabric_rate, mobilised_share, relaxation_rate
   use granumat_matrices, only: determinant_of => determinant
-  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED
+  use granumat_parameters, only: material_parameters, CRITICAL, friction_turns
   use granumat_state, only: lane_state
   use granumat_stress, only: evaluate, friction, pressure_derivative, pressure_slopes, deviator_slopes, stress_deviator, &
-    mobilised_deviator, mobilised_slopes
+    mobilised_deviator, mobilised_slopes, to_evolving
   use granumat_tensors, only: VOIGT, add_identity, contract, deviator, magnitude, product_matrix, safe_magnitude, times, to_voigt, &
     trace
   implicit none (type, external)
@@ -72,7 +72,7 @@ contains
 
     model = x
     call evaluate(par, model, p)
-    if (par%closure == MOBILISED) model%direction = spread(1 / max(safe_magnitude(x%direction), tiny(p)), 2, 6) * x%direction
+    if (friction_turns(par)) model%direction = spread(1 / max(safe_magnitude(x%direction), tiny(p)), 2, 6) * x%direction
     p = -trace(model%stress) / 3
     law%isochoric = .not. par%elastic_strain > 0
     law%corotating = 0
@@ -81,7 +81,7 @@ contains
     do k = 1, 6
       E = 0
       E(:, k) = merge(1.0_dp, 0.5_dp, k <= 3)
-      if (par%closure == MOBILISED) then
+      if (friction_turns(par)) then
         law%C(:, :, k) = change_where_friction_turns(par, model, deviator(x%direction), E)
       else
         law%C(:, :, k) = change(par, model, deviator(x%stress), E)
@@ -160,14 +160,14 @@ contains
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: model
     real(dp), intent(in) :: M(LANES, 5), d_mod(LANES), E(LANES, 6)
-    real(dp), dimension(LANES) :: d_dot_p, distance, excess, missing, mod_S, d_mod_S, d_dot_Z2, share
+    real(dp), dimension(LANES) :: d_dot_p, distance, evolving, missing, mod_S, d_mod_S, d_dot_Z2, share
     real(dp), dimension(LANES, 5) :: A, S_hat, d_S, d_dot_A
     real(dp) :: no_spin(LANES, 3)
     type(pressure_derivative) :: by
 
-    excess = model%coordination_number - par%Zc
     distance = model%volume_fraction - par%phic
     A = deviator(model%fabric)
+    evolving = to_evolving(par, A, model%coordination_number - par%Zc)
     if (par%closure == CRITICAL) then
       d_dot_A = 0
       d_dot_Z2 = -excess_target_slope(par, distance) * model%volume_fraction * trace(E)
@@ -178,14 +178,14 @@ contains
       d_dot_A = fabric_rate(par, A, d_S, d_mod, no_spin)                 ! the rates are linear in S, |S|, |D| and tr D
       mod_S = magnitude(S_hat)
       d_mod_S = contract(S_hat, d_S) / (2 * max(mod_S, tiny(d_mod)))
-      if (par%closure == MOBILISED) then               ! of m |S| = (M : S) |S|/(2 |D|), where that is positive
+      if (friction_turns(par)) then               ! of m |S| = (M : S) |S|/(2 |D|), where that is positive
         share = mobilised_share(contract(M, S_hat))
         d_mod_S = merge(contract(M, d_S) / 2 * mod_S + share * (d_mod_S - mod_S * d_mod), 0.0_dp, share > 0)
       end if
-      missing = excess_target(par, distance) - excess
+      missing = evolving_target(par, distance) - evolving
       d_dot_Z2 = coordination_rate(par, contract(A, d_S), d_mod_S, d_mod, missing, trace(E))
     end if
-    by = pressure_slopes(par, A, trace(model%direction), excess)
+    by = pressure_slopes(par, A, trace(model%direction), evolving)
     d_dot_p = by%A * contract(A, d_dot_A) + by%excess * d_dot_Z2
   end function pressure_rate_change
 

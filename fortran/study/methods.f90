@@ -9,7 +9,7 @@ module granumat_methods
   use granumat_increment, only: increment, to_increment, without_spin
   use granumat_law, only: coordination_rate, critical_state, excess_target, fabric_rate, relaxation_rate
   use granumat_matrices, only: solve_linear
-  use granumat_parameters, only: material_parameters, CRITICAL, MOBILISED
+  use granumat_parameters, only: material_parameters, CRITICAL, friction_turns
   use granumat_state, only: lane_state, REALISABLE
   use granumat_stress, only: model_deviator, pressure, pressure_factor
   use granumat_substeps, only: internal_state, MAX_SUBSTEPS
@@ -78,7 +78,7 @@ contains
 
     new = old
     status = BAD_PARAMETERS
-    if (.not. is_valid(by) .or. (par%closure == MOBILISED .and. by%method /= EXACT)) return
+    if (.not. is_valid(by) .or. (friction_turns(par) .and. by%method /= EXACT)) return
     status = status_before(old, strain, spin)
     call to_increment(strain, spin, status == OK, inc)
     moves = inc%mod_D > 0

@@ -15,7 +15,7 @@ import numpy as np
 
 from .calibrations import is_calibration_file
 from .checks import refuse
-from .material import UNUSED
+from .material import TURNING, UNUSED
 
 Content = dict[str, Any]
 
@@ -94,9 +94,9 @@ def _material(**values: Any) -> Callable[[Content], Content]:
 
 
 def closures(content: Content) -> Axis:
-    """The closure: from the file's own if that is "kinematic" or "mobilised", else "full", down to no microstructure at all."""
+    """The closure: from the file's own if that is not of the paper, else "full", down to no microstructure at all."""
     own = content.get("material", {}).get("closure", "full")
-    names = (own if own in ("kinematic", "mobilised") else "full", *CLOSURES[1:])
+    names = (own if own in ("kinematic", *TURNING) else "full", *CLOSURES[1:])
     rungs = [Rung(name, unchanged if name == own else _material(closure=name)) for name in names[:-1]]
     rungs.append(Rung("critical", unchanged if own == "critical" else _critical))
     return Axis("closure", MODEL, tuple(rungs), own=Rung(own, unchanged))
@@ -126,22 +126,23 @@ def _frees(entry: Mapping[str, Any]) -> bool:
 def relaxation(content: Content) -> Axis | None:
     """The elastic strain, with and without; None if the file has none, or a closure that needs it."""
     value = content.get("material", {}).get("elastic_strain", 0.0)
-    if value == 0 or content["material"].get("closure") == "mobilised":
+    if value == 0 or content["material"].get("closure") in TURNING:
         return None
     return Axis("elastic strain", MODEL, (Rung(f"{value:g}", unchanged), Rung("none", _material(elastic_strain=0.0))))
 
 
 def constants(content: Content) -> list[Axis]:
-    """What is known badly: friction, elastic strain, the choice between the closures "full" and "kinematic"."""
+    """What is known badly: friction, elastic strain, the choice of the closure, of which "kinematic" or "full" is the other."""
     table = content.get("material", {})
     mu, e_r = table.get("mu", 0.5), table.get("elastic_strain", 0.0)
-    other = "full" if table.get("closure") == "kinematic" else "kinematic"
+    closure = table.get("closure", "full")
+    other = "full" if closure == "kinematic" else "kinematic"
     found = [("mu", f"{mu:g}", [(f"{value:g}", _material(mu=value)) for value in (mu / MU_FACTOR, min(mu * MU_FACTOR, 1.0))
                                if value != mu])]
     if e_r > 0:
         found.append(("e_r", f"{e_r:g}", [(f"{value:.3g}", _material(elastic_strain=value))
                                           for value in (e_r / ELASTIC_FACTOR, e_r * ELASTIC_FACTOR)]))
-    found.append(("choice of closure", "full" if other == "kinematic" else "kinematic", [(other, _material(closure=other))]))
+    found.append(("choice of closure", closure, [(other, _material(closure=other))]))
     return [Axis(name, CONSTANT, (Rung(own, unchanged), *(Rung(*rung) for rung in rungs))) for name, own, rungs in found if rungs]
 
 

@@ -13,8 +13,8 @@ STATE = np.dtype([
     ("coordination_number", "f8"), ("volume_fraction", "f8"),
 ])
 """What a point remembers, 20 numbers. stress: Cauchy, tension positive, in k/d (k_Hz for Hertzian contacts); fabric: A (3.1);
-direction: D/abs(D) of the last strain, 0 before any; in the closure "mobilised" what follows it over the elastic strain. Six
-components are xx yy zz xy xz yz."""
+direction: D/abs(D) of the last strain, 0 before any; in the closures "mobilised" and "mobilised-pressure" what follows it over the
+elastic strain. Six components are xx yy zz xy xz yz."""
 
 N_CONSTANTS = 20                                      # as in granumat_parameters
 STATE_NUMBERS = STATE.itemsize // 8

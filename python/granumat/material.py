@@ -17,7 +17,8 @@ from .errors import MaterialError
 States = TypeVar("States", np.record, np.recarray, np.ndarray)     # of dtype STATE: one point's, or an array of any shape
 
 # Positions in these lists are the core's codes.
-CLOSURES = ("critical", "basic", "n2", "full", "kinematic", "mobilised")
+CLOSURES = ("critical", "basic", "n2", "full", "kinematic", "mobilised", "mobilised-pressure")
+TURNING = ("mobilised", "mobilised-pressure")       # closures in which friction has a direction of its own
 CONTACTS = ("hookean", "hertzian")
 CALIBRATIONS = ("table-1", "text", "figure-16")
 FRICTIONS = ("linear", "quadratic")
@@ -27,7 +28,7 @@ SPINS = ("inside", "before")
 # Constants that have no role in a closure.
 UNUSED = {
     "critical": ("a4", "d1", "d2", "d3"), "basic": ("a3", "a4"), "n2": ("a4",), "full": (), "kinematic": ("a4",),
-    "mobilised": ("a4", "b3"),
+    "mobilised": ("a4", "b3"), "mobilised-pressure": ("a4", "b3", "beta2", "g"),
 }
 
 RANGES = core.constant_ranges()
@@ -89,7 +90,8 @@ class Material:
         Interparticle friction coefficient, 0 to 1; the other constants follow from it.
     closure : str
         Equation of the deviatoric stress: "critical" (A 10)-(A 12), "basic" (4.1), "n2" (A 1), "full" (A 4), "kinematic", which
-        is (A 4) with a4 = -2 b2, or "mobilised", in which friction follows the direction of shearing over the elastic strain.
+        is (A 4) with a4 = -2 b2, "mobilised", in which friction follows the direction of shearing over the elastic strain, or
+        "mobilised-pressure", the same with (4.8) for the rate of the pressure, from which Z2 follows by (4.2).
     contact : str
         Equation of the pressure: "hookean" (4.2) or "hertzian" (4.4).
     friction : str
@@ -100,7 +102,8 @@ class Material:
         calibration file, which ends in ".toml", whose constants take the place of table 1's.
     elastic_strain : float
         e_r, the strain over which the deviatoric stress relaxes to the model's; with 0, the paper's law, it is the model's at once.
-        In the closure "mobilised", which needs one, the strain over which friction turns; 0.005 to 0.02 in discrete-element runs.
+        In the closures "mobilised" and "mobilised-pressure", which need one, the strain over which friction turns; 0.005 to 0.02
+        in discrete-element runs.
     method : str
         How increments are integrated: "exact", or, to compare with it, "forward-euler", "midpoint" (explicit), "rk4" or
         "backward-euler" in one step per increment, or "bogacki-shampine" in substeps whose error is estimated.
@@ -175,12 +178,12 @@ class Material:
         names = list(RANGES)
         for name, value in values.items():
             par[names.index(name)] = value
-        if closure in ("kinematic", "mobilised"):
+        if closure in ("kinematic", *TURNING):
             par[names.index("a4")] = -2 * par[names.index("b2")]
         faulty, valid = core.complete_parameters(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
-        mobilised_faults = _mobilised_faults(values.get("elastic_strain"), method) if closure == "mobilised" else []
+        mobilised_faults = _turning_faults(closure, values.get("elastic_strain"), method) if closure in TURNING else []
         faults += mobilised_faults
         if not faulty.any() and not valid[0] and not mobilised_faults:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
@@ -241,8 +244,9 @@ class Material:
         fabric : array (6,) or (3, 3), optional
             A (3.1), the default is 0: traceless, eigenvalues of A + I/3 in [0, 1], abs(A) below `fabric_limit`.
         direction : array (6,) or (3, 3), optional
-            D/abs(D) of the last strain, of magnitude 1; the default 0 stands for no strain yet. In the closure "mobilised" it
-            follows D/abs(D) over the elastic strain, its deviator is the direction of friction, and its magnitude is at most 1.
+            D/abs(D) of the last strain, of magnitude 1; the default 0 stands for no strain yet. In the closures "mobilised"
+            and "mobilised-pressure" it follows D/abs(D) over the elastic strain, its deviator is the direction of friction, and its
+            magnitude is at most 1.
         stress : array (6,) or (3, 3), optional
             Cauchy stress in k/d (k_Hz for Hertzian contacts), tension positive; the default is the model's.
 
@@ -270,9 +274,9 @@ class Material:
                 state[name] = _components(name, tensor, faults)
         faults += self._fabric_faults(state["fabric"][0])
         size = tensors.magnitude(state["direction"][0])
-        if self.closure == "mobilised" and not size < 1 + DIRECTION_TOLERANCE:
+        if self.closure in TURNING and not size < 1 + DIRECTION_TOLERANCE:
             faults.append(f"direction: its magnitude is {size:g}, must be at most 1")
-        elif self.closure != "mobilised" and not (size == 0 or abs(size - 1) < DIRECTION_TOLERANCE):
+        elif self.closure not in TURNING and not (size == 0 or abs(size - 1) < DIRECTION_TOLERANCE):
             faults.append(f"direction: its magnitude is {size:g}, must be 1, or 0 before any strain")
         refuse("the state is not admissible", faults)
         if stress is None:
@@ -417,7 +421,7 @@ class Material:
         record of dtype STATE
         """
         parts = 1
-        if self.closure == "mobilised":
+        if self.closure in TURNING:
             parts = int(np.ceil(self.steady_strain / (LONGEST_PART * self["elastic_strain"])))
         gradient = np.zeros((3, 3))
         gradient[0, 2] = self.steady_strain / parts
@@ -654,13 +658,13 @@ class Material:
         return core.follow_path(self._par, self._scheme, start, gradients, modes, functionals, targets, tolerance)
 
 
-def _mobilised_faults(elastic_strain: float | None, method: str) -> list[str]:
-    """What the closure "mobilised" does not allow, in words."""
+def _turning_faults(closure: str, elastic_strain: float | None, method: str) -> list[str]:
+    """What a closure in which friction turns does not allow, in words."""
     faults = []
     if elastic_strain == 0:
-        faults.append("elastic_strain = 0: the closure 'mobilised' needs one above 0, the strain over which friction turns")
+        faults.append(f"elastic_strain = 0: the closure {closure!r} needs one above 0, the strain over which friction turns")
     if method != "exact" and method in METHODS:
-        faults.append(f"method {method!r}: the closure 'mobilised' is integrated by the method 'exact' only")
+        faults.append(f"method {method!r}: the closure {closure!r} is integrated by the method 'exact' only")
     return faults
 
 

@@ -10,6 +10,7 @@ import pytest
 from mpi4py import MPI
 
 from granumat import Material, fem
+from granumat.material import TURNING
 from support.ranks import ENVIRONMENT, on_ranks
 from support.scenes import read_table
 from support.xdmf import records
@@ -100,10 +101,12 @@ def checkpoint(tmp_path):
     return tmp_path / "checkpoint.npz"
 
 
-def test_what_is_resumed_is_what_was_left(checkpoint):
-    body, again = problem(), problem()
-    fem.run(body, 2, 1.0)
-    fem.resume(checkpoint, again)
+@pytest.mark.parametrize("closure", ["full", *TURNING])
+def test_what_is_resumed_is_what_was_left(closure, tmp_path):
+    sides = fem.Pressure(lambda x: np.isclose(x[0] * (1 - x[0]), 0), 0.01)
+    body, again = (problem(closure=closure, conditions=[sides]) for _ in range(2))
+    fem.run(body, 2, 1.0, observers=[fem.Checkpoint(tmp_path / "checkpoint.npz", every=1)])
+    fem.resume(tmp_path / "checkpoint.npz", again)
     assert (again.states == body.states).all() and (again.displacement == body.displacement).all()
     for name in ("t", "increments", "next_increment"):
         assert getattr(again, name) == getattr(body, name), name

@@ -6,6 +6,7 @@ from dolfinx import mesh
 from mpi4py import MPI
 
 from granumat import Material, fem
+from granumat.material import TURNING
 
 SAND = Material(0.5, elastic_strain=1e-2)
 PRESSURE = 0.01
@@ -258,3 +259,16 @@ def test_events_are_met_exactly():
     fem.run(block([fem.Pressure(right, PRESSURE), fem.Pressure(top, PRESSURE)]), 1.0, 0.3, events=[0.4],
             observers=[lambda p: times.append(p.t)])
     assert times == pytest.approx([0, 0.3, 0.4, 0.7, 1.0]) and 0.4 in times and times[-1] == 1.0
+
+
+@pytest.mark.parametrize("closure", TURNING)
+def test_newton_converges_quadratically_where_friction_turns(closure):
+    material = Material(0.5, closure, elastic_strain=0.01)
+    conditions = [fem.Displacement(lambda x: np.isclose(x[1], 0)),
+                  fem.Displacement(lambda x: np.isclose(x[1], 1), lambda x, t: [0.02 * min(t, 6 - t), 0]),
+                  fem.Pressure(lambda x: np.isclose(x[0] * (1 - x[0]), 0), 0.01)]
+    body = fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1.0, 1.0), (4, 4)), material, material.isotropic(0.6, pressure=0.01), conditions)
+    histories = []
+    fem.run(body, 6, 1.0, events=[3], observers=[lambda body: histories.append(body.last.residuals if body.last else [])])
+    pairs = [pair for history in histories for pair in zip(history[1:], history[2:]) if 1e-6 < pair[0] < 0.02]
+    assert len(pairs) >= 6 and max(second / first**2 for first, second in pairs) < 50

@@ -20,7 +20,7 @@ def constants(mu, closure="full"):
     }
     if closure == "basic":
         c["a3"] = 0.0
-    if closure in ("kinematic", "mobilised"):
+    if closure in ("kinematic", "mobilised", "mobilised-pressure"):
         c["a4"] = -2 * c["b2"]
     if closure in ("basic", "n2"):
         c["a4"] = 0.0
@@ -134,10 +134,11 @@ def first_corner(direction, w, s_hat, ratio):
     return 1.0
 
 
-def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookean", rtol=1e-13):
+def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookean", rtol=1e-13, pressure_evolves=False):
     """As `integrate`, in the closure "mobilised": also takes and returns the mobilised direction M (n, 3, 3), before p and sigma'.
 
-    phi may not cross phic. The clock of every point stands at 1 where its M:S^ first changes its sign, a corner of the rates.
+    In "mobilised-pressure" z in the rates is half of p d/k/(a1 + a2 kappa), negative where Z2 < Zc. phi may not cross phic. The
+    clock of every point stands at 1 where its M:S^ first changes its sign, a corner of the rates.
     """
     n = len(gradient)
     _, w, s, mod_d, mod_s, tr = parts(gradient)
@@ -152,12 +153,16 @@ def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookea
         dot_a = w @ a - a @ w + c["c1"] * s + scale(c["c2"] * mod_d, a) + scale(c["c3"] * a_s, a)
         dot_m = w @ m - m @ w + scale(mod_d / c["elastic_strain"], s_hat - m)
         share = np.maximum(double_dot(m, s_hat) / 2, 0)
-        f = c["Zc"] + c["beta1"] * np.maximum(ph - c["phic"], 0) ** c["beta2"]
+        f = c["beta1"]**2 / 2 * (ph - c["phic"]) if pressure_evolves else c["beta1"] * np.maximum(ph - c["phic"], 0) ** c["beta2"]
         dot_z = c["d1"] * (a_s - chi * share * mod_s) + c["d2"] * mod_d * (f - z) + c["d3"] * tr
         return np.column_stack([dot_a.reshape(n, 9), dot_m.reshape(n, 9), dot_z, -ph * tr]).ravel()
 
     corner = np.array([first_corner(*point) for point in zip(direction, w, s_hat, mod_d / c["elastic_strain"])])[:, None]
-    y = np.column_stack([np.reshape(fabric, (n, 9)), np.reshape(direction, (n, 9)), z2, phi]).ravel()
+    stiffness = c["a1"] + c["a2"] * abs(slow)                                                          # kappa = abs(lambda)
+    z = z2 - c["Zc"]
+    if pressure_evolves:
+        z = z * abs(z) / 2 * (c["a1"] + c["a2"] * magnitude(fabric)) / stiffness
+    y = np.column_stack([np.reshape(fabric, (n, 9)), np.reshape(direction, (n, 9)), z, phi]).ravel()
     for share in (corner, 1 - corner):
         solution = solve_ivp(lambda t, y, share=share: (share * rate(t, y).reshape(n, 20)).ravel(), (0, 1), y,
                              method="DOP853", rtol=rtol, atol=rtol * 1e-2)
@@ -165,6 +170,9 @@ def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookea
         y = solution.y[:, -1]
     a, m, z, ph = np.split(y.reshape(n, 20), (9, 18, 19), axis=1)
     a, m, z, ph = a.reshape(n, 3, 3), m.reshape(n, 3, 3), z[:, 0], ph[:, 0]
+    if pressure_evolves:
+        z = np.sign(z) * np.sqrt(2 * abs(z) * stiffness / (c["a1"] + c["a2"] * magnitude(a)))
+    z = c["Zc"] + z
     p, _ = model_stress(c, a, z, gradient, contact)
     ratio = -c["b1"] * m - 2 * c["b2"] * a + 2 * c["a3"] / slow * (a @ a - scale(double_dot(a, a) / 3, np.eye(3)))
     return a, z, ph, m, p, scale(p, ratio)

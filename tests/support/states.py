@@ -3,7 +3,11 @@
 import numpy as np
 
 from granumat import STATE, tensors
+from granumat.material import CLOSURES, TURNING
 from support.reference import random_increments
+
+CLOSURES_AND_STRAINS = [(closure, elastic_strain) for closure in CLOSURES for elastic_strain in (0.0, 0.01)
+                        if elastic_strain > 0 or closure not in TURNING]
 
 
 def random_states(rng, material, n, shear, **sampling):

@@ -20,7 +20,7 @@ import numpy as np
 
 from .. import driver
 from ..core import ARITHMETIC_A_ROUND, STATE, arithmetic
-from ..material import CLOSURES, Material
+from ..material import CLOSURES, TURNING, Material
 from . import chart, rate_form
 from .batches import BATCH_SHEAR, PHI, random_batch
 from .bench_umat import print_umat
@@ -127,7 +127,7 @@ def print_closures(effort: Effort) -> None:
     n = effort.points
     print(f"cost per point of each closure over full's, least of {effort.rounds}:")
     for elastic_strain, plane, tangent in itertools.product((0.0, 0.01), (False, True), (False, True)):
-        actions, closures = [], [closure for closure in CLOSURES if elastic_strain > 0 or closure != "mobilised"]
+        actions, closures = [], [closure for closure in CLOSURES if elastic_strain > 0 or closure not in TURNING]
         for closure in closures:
             material = Material(closure=closure, elastic_strain=elastic_strain)
             states, gradient = random_batch(material, n, plane=plane)

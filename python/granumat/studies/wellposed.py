@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from .. import driver
-from ..material import Material
+from ..material import TURNING, Material
 from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
 MUS = (0.0, 0.1, 0.3, 0.5, 1.0)
@@ -21,6 +21,8 @@ CLOSURES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {            # name
     "full table-1": ({"closure": "full"}, {"color": BLUE}),
     "full text": ({"closure": "full", "calibration": "text"}, {"color": GREY, "linestyle": "--"}),
     "kinematic": ({"closure": "kinematic"}, {"color": GREEN}),
+    "mobilised": ({"closure": "mobilised"}, {"color": "black"}),
+    "mobilised-pressure": ({"closure": "mobilised-pressure"}, {"color": "black", "linestyle": "--"}),
 }
 DISTANCE = 0.60 - Material(0.5)["phic"]      # phi - phic of all curves: the same for all mu, so that pressures are similar
 FIRST_STRAIN = 1e-6                          # shear strain of the first increment: just after the reversal
@@ -47,7 +49,7 @@ class Curve(NamedTuple):
         scale = self.elastic_strain if self.elastic_strain and measure == "eigenvalue" else 1.0
         deep = values * scale < -DEEP
         negative = values < -ROUND_OFF
-        return {"after_reversal": values[0], "least": values.min(), "steady": self.steady[measure],
+        return {"after_reversal": values[0], "least": np.nanmin(values), "steady": self.steady[measure],
                 "first": gamma[negative][0] if negative.any() else np.nan, "duration": _duration(gamma, negative),
                 "duration_deep": _duration(gamma, deep) if measure != "determinant" else np.nan}
 
@@ -95,8 +97,9 @@ def curve(mu: float, closure: str, elastic_strain: float) -> Curve:
 
 
 def study() -> list[Curve]:
-    """The curves of all friction coefficients, closures and elastic strains."""
-    return [curve(mu, closure, elastic_strain) for mu in MUS for closure in CLOSURES for elastic_strain in ELASTIC_STRAINS]
+    """The curves of all friction coefficients, closures and the elastic strains that these can have."""
+    return [curve(mu, closure, elastic_strain) for mu in MUS for closure in CLOSURES for elastic_strain in ELASTIC_STRAINS
+            if elastic_strain > 0 or closure not in TURNING]
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
@@ -160,7 +163,7 @@ def draw(curves: Sequence[Curve]) -> Figure:
         axes.set_title(rf"$\mu$ = {mu:g}", fontsize=10)
     for axes in panels[-1]:
         axes.set_xlabel("shear strain after the reversal", fontsize=9)
-    handles, labels = panels[0, 0].get_legend_handles_labels()
+    handles, labels = panels[2, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncol=len(CLOSURES), fontsize=9, frameon=False)
     return figure
 
