@@ -49,7 +49,7 @@ PATHS = [
     (path("mu = 1979-05-27"), "must be a number"), (path("nu = 0.5"), "unknown name 'nu'"), (path("zc = 4"), "did you mean 'Zc'"),
     (path('closure = "Full"'), "closure 'Full'"), (path('closure = ""'), "closure ''"), (path("closure = 1"), "closure 1"),
     (path('contact = "hertz"'), "did you mean 'hertzian'"), (path('friction = "quadratic"'), "give b1, b2, b3"),
-    (path("elastic_strain = -0.01"), "elastic_strain = -0.01: must be at least 0"), (path("c3 = 0"), "c3 = 0.0: must be above 0"),
+    (path("elastic_strain = -0.01"), "elastic_strain = -0.01: must be at least 0"), (path("c3 = -1"), "c3 = -1.0: must be at least 0"),
     (path('method = "euler"'), "method 'euler'"), (path("method_tolerance = 2"), "method_tolerance = 2"),
     (path(f"mu = {HUGE}"), "must be at least 0 and at most 1"), (path('spin = "outside"'), "spin 'outside'"),
     (path('closure = "n2"\na4 = 1'), "has no role in the closure 'n2'"), (path('calibration = "figure"'), "calibration 'figure'"),
