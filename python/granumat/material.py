@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from . import core, tensors
-from .calibrations import is_calibration_file, read_constants
+from .calibrations import SHIPPED, is_calibration_file, read_constants
 from .checks import attempt, check_type, choose, is_finite_number, is_number, is_positive_integer, real_array, refuse, short
 from .core import STATE, status_message
 from .errors import MaterialError
@@ -96,11 +96,13 @@ class Material:
         Equation of the friction coefficient: "linear" (4.5) or "quadratic" (4.6); the latter needs b1, b2 and b3, which the paper
         does not print.
     calibration : str
-        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16"; or the name of a
-        calibration file, which ends in ".toml", whose constants take the place of table 1's.
-    elastic_strain : float
+        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16"; or "dem-2026", constants
+        fitted to discrete-element runs; or the name of a calibration file, which ends in ".toml", whose constants take the place of
+        table 1's.
+    elastic_strain : float, optional
         e_r, the strain over which the deviatoric stress relaxes to the model's; with 0, the paper's law, it is the model's at once.
         In the closure "mobilised", which needs one, the strain over which friction turns; 0.005 to 0.02 in discrete-element runs.
+        The default is the calibration's, 0 in the paper's.
     method : str
         How increments are integrated: "exact", or, to compare with it, "forward-euler", "midpoint" (explicit), "rk4" or
         "backward-euler" in one step per increment, or "bogacki-shampine" in substeps whose error is estimated.
@@ -139,7 +141,7 @@ class Material:
     _given: dict[str, Any]
 
     def __init__(self, mu: float = 0.5, closure: str = "full", contact: str = "hookean", friction: str = "linear",
-                 calibration: str = "table-1", elastic_strain: float = 0.0, method: str = "exact", spin: str = "inside",
+                 calibration: str = "table-1", elastic_strain: float | None = None, method: str = "exact", spin: str = "inside",
                  method_tolerance: float = 1e-6, **constants: float) -> None:
         faults: list[str] = []
         closure_number = choose("closure", closure, CLOSURES, faults)
@@ -148,14 +150,18 @@ class Material:
         if is_calibration_file(calibration):
             calibration, calibration_number = str(Path(calibration).absolute()), 0
             fitted = _fitted(calibration, mu, closure, contact, friction, faults)
+        elif isinstance(calibration, str) and calibration in SHIPPED:
+            calibration_number = 0
+            fitted = _fitted(SHIPPED[calibration], mu, closure, contact, friction, faults)
         else:
-            calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
+            calibration_number = choose("calibration", calibration, (*CALIBRATIONS, *SHIPPED), faults)
         choose("friction", friction, FRICTIONS, faults)
         method_number = choose("method", method, METHODS, faults)
         spin_number = choose("spin", spin, SPINS, faults)
         if not is_number(method_tolerance) or not 0 < method_tolerance < 1:
             faults.append(f"method_tolerance = {method_tolerance!r}: must be a number in (0, 1)")
-        given = {"mu": mu, "elastic_strain": elastic_strain, **fitted, **constants}
+        chosen = constants if elastic_strain is None else {"elastic_strain": elastic_strain, **constants}
+        given = {"mu": mu, **fitted, **chosen}
         for name, value in given.items():
             if name not in RANGES:
                 choose("unknown name", name, OPTIONS + tuple(RANGES), faults)
@@ -180,7 +186,7 @@ class Material:
         faulty, valid = core.complete_parameters(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
-        mobilised_faults = _mobilised_faults(values.get("elastic_strain"), method) if closure == "mobilised" else []
+        mobilised_faults = _mobilised_faults(values.get("elastic_strain", 0.0 if elastic_strain is None else None), method) if closure == "mobilised" else []
         faults += mobilised_faults
         if not faulty.any() and not valid[0] and not mobilised_faults:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
@@ -192,8 +198,7 @@ class Material:
             constants=MappingProxyType(dict(zip(names + list(DERIVED), par.tolist()))), _par=par,
             _scheme=(method_number, spin_number, method_tolerance),
             _given={"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
-                    "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance,
-                    **constants})
+                    "method": method, "spin": spin, "method_tolerance": method_tolerance, **chosen})
 
     def __setattr__(self, name: str, value: object) -> None:
         raise TypeError(f"{name} cannot be set: a material does not change; make another one, "
@@ -682,10 +687,10 @@ def _records(states: object) -> np.ndarray:
     return np.ascontiguousarray(states).reshape(states.shape)
 
 
-def _fitted(calibration: str, mu: float, closure: str, contact: str, friction: str, faults: list[str]) -> dict[str, float]:
+def _fitted(calibration: str | Path, mu: float, closure: str, contact: str, friction: str, faults: list[str]) -> dict[str, float]:
     """The constants of a calibration file that have a role."""
-    constants = [name for name in RANGES if name not in ("mu", "elastic_strain")]
-    fitted = attempt(faults, "", read_constants, calibration, mu, contact, constants) or {}
+    constants = [name for name in RANGES if name != "mu"]
+    fitted = attempt(faults, "", read_constants, calibration, mu, contact, closure, CLOSURES, constants) or {}
     unused = (*UNUSED.get(closure, ()), *(("b3",) if friction == "linear" else ()))
     return {name: value for name, value in fitted.items() if name not in unused}
 
