@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -407,30 +407,36 @@ class Material:
         """Shear strain that leads to the steady state from any other: the influence of the start is then below round-off."""
         return 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
 
-    def steady(self, volume_fraction: float) -> np.record:
+    @overload
+    def steady(self, volume_fraction: float) -> np.record: ...
+
+    @overload
+    def steady(self, volume_fraction: np.ndarray) -> np.recarray: ...
+
+    def steady(self, volume_fraction: float | np.ndarray) -> np.record | np.recarray:
         """Find the state of steady simple shear at constant volume, du_x/dz > 0: A and Z2 at which (4.7) and (4.8) vanish.
 
         Found by the exact update, whatever the material's method.
 
         Parameters
         ----------
-        volume_fraction : float
-            phi, in (0, 1).
+        volume_fraction : float or array (n,)
+            phi, in (0, 1); several take hardly longer than one.
 
         Returns
         -------
-        record of dtype STATE
+        record or record array (n,) of dtype STATE
         """
         parts = 1
         if self.closure == "mobilised":
             parts = int(np.ceil(self.steady_strain / (LONGEST_PART * self["elastic_strain"])))
-        gradient = np.zeros((3, 3))
-        gradient[0, 2] = self.steady_strain / parts
         exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
-        state = exact.state(volume_fraction, self["Zc"])
+        states = np.array([exact.state(phi, self["Zc"]) for phi in np.ravel(volume_fraction)], STATE).view(np.recarray)
+        gradient = np.zeros((len(states), 3, 3))
+        gradient[:, 0, 2] = self.steady_strain / parts
         for _ in range(parts):
-            state = exact.update(state, gradient)
-        return state
+            states = exact.update(states, gradient)
+        return states if isinstance(volume_fraction, np.ndarray) else states[0]
 
     # ---- increments ------------------------------------------------------------------------------------------------
 

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -50,7 +51,7 @@ OF_STRESS, OF_STATE = ([QUANTITIES.index(name) for name in names]
 # Held where no run has one of the columns: scales of fabric and excess coordination that stresses do not show.
 HELD_WITHOUT = {("Z2", "A_xz"): ("a1", "a2", "Zc", "c1"), ("Z2", "A_xz", "N1/p"): ("a3", "a4")}
 
-PATH_TOLERANCE = 1e-5       # of histories where stresses are held
+PATH_TOLERANCE = 1e-4       # of histories where stresses are held
 EXPECTED_ROUNDS = 16        # of differences in a fit, for the remaining time
 CHORD_ROUNDS = 5            # of a fit without some of the runs
 SHOWN_CHANGE = 0.1          # largest change of a direction in words, relative to the constants or in sizes
@@ -335,21 +336,31 @@ class _Search:
         except ValueError:
             return None
 
-    def _predict(self, material: Material | None, number: int) -> Prediction | None:
-        """What the law gives along a run; None if it cannot start there."""
+    def _predict(self, material: Material | None, numbers: Sequence[int]) -> list[Prediction | None]:
+        """What the law gives along some of the runs; None where it cannot start. Their steady states are found together."""
+        starts: dict[float, np.record] = {}
+        if material is not None:
+            phis = np.unique([self.runs[number].columns["phi"][0] for number in numbers if self.runs[number].start == "steady"])
+            with suppress(ValueError, MaterialError):
+                starts = dict(zip(phis.tolist(), material.steady(phis)))
+        return [self._predict_one(material, number, starts) for number in numbers]
+
+    def _predict_one(self, material: Material | None, number: int, starts: Mapping[float, np.record]) -> Prediction | None:
         self._done += 1
         self._tell(self._stage, min(self._done / self._expected, 0.99))
         if self._stop():
             raise _Stopped
+        run = self.runs[number]
+        start = starts.get(run.columns["phi"][0]) if run.start == "steady" else None
         try:
-            return None if material is None else predict(self.runs[number], material, PATH_TOLERANCE)
+            return None if material is None else predict(run, material, PATH_TOLERANCE, start)
         except (ValueError, MaterialError):
             return None
 
     def _errors(self, y: np.ndarray, numbers: Sequence[int]) -> np.ndarray:
         """Errors (m,) of the means along some of the runs."""
-        material = self._material(y)
-        return np.concatenate([self.sums.errors(number, self._predict(material, number)) for number in numbers])
+        found = self._predict(self._material(y), numbers)
+        return np.concatenate([self.sums.errors(number, prediction) for number, prediction in zip(numbers, found)])
 
     # ---- what the measured microstructure decides by itself
 
@@ -406,17 +417,20 @@ class _Search:
     def _compare(self, found: Fit | None) -> Comparison:
         """Scores of the start, of the fit, and of fits without the run, without all of its phi, without all of its programme."""
         everything = range(len(self.runs))
-        predictions = {"start": [self._prediction(self.start, number) for number in everything],
-                       "fitted": [self._prediction(self._material(self.y), number) for number in everything]}
+        predictions = {"start": self._predictions(self.start, everything),
+                       "fitted": self._predictions(self._material(self.y), everything)}
         self._stage = "runs left out"
         for words, of_run in {"run left out": lambda run: run.name, "phi left out": lambda run: round(run.columns["phi"][0], 3),
                               "programme left out": programme_of}.items():
             groups = [of_run(run) for run in self.runs]
             if found is None or len(set(groups)) == 1 or (len(set(groups)) == len(groups) and words != "run left out"):
                 continue
-            left_out = {group: self._material(self._without([i for i in everything if groups[i] == group], found))
-                        for group in dict.fromkeys(groups)}
-            predictions[words] = [self._prediction(left_out[group], number) for number, group in enumerate(groups)]
+            of_words: dict[int, Prediction] = {}
+            for group in dict.fromkeys(groups):
+                left_out = [number for number in everything if groups[number] == group]
+                material = self._material(self._without(left_out, found))
+                of_words |= dict(zip(left_out, self._predictions(material, left_out)))
+            predictions[words] = [of_words[number] for number in everything]
         return Comparison(self.sums.yardsticks, predictions)
 
     def _without(self, left_out: Sequence[int], found: Fit) -> np.ndarray:
@@ -426,13 +440,10 @@ class _Search:
         return search(lambda y: self._errors(y, others), Sample(sample.weights[rows], sample.kinds[rows], sample.series[rows]),
                       self.constants, found.weight, found.y, found.jacobian[rows])
 
-    def _prediction(self, material: Material | None, number: int) -> Prediction:
-        """What the law gives along a run, for a score."""
-        found = self._predict(material, number)
-        if found is not None:
-            return found
-        never = np.full(len(self.runs[number]), np.nan)
-        return Prediction(dict.fromkeys((*QUANTITIES, *FABRIC), never), "cannot start")
+    def _predictions(self, material: Material | None, numbers: Sequence[int]) -> list[Prediction]:
+        """What the law gives along some of the runs, for scores."""
+        return [Prediction(dict.fromkeys((*QUANTITIES, *FABRIC), np.full(len(self.runs[number]), np.nan)), "cannot start")
+                if found is None else found for number, found in zip(numbers, self._predict(material, numbers))]
 
 
 def programme_of(run: Run) -> str:

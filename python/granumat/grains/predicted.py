@@ -32,7 +32,7 @@ class Prediction:
     message: str = ""
 
 
-def predict(run: Run, material: Material, tolerance: float = TOLERANCE) -> Prediction:
+def predict(run: Run, material: Material, tolerance: float = TOLERANCE, start: np.record | None = None) -> Prediction:
     """Drive the law along the path of a run.
 
     The shear strains are those of the rows. Where stresses are held, they go from row to row as in the run, in the first increment
@@ -45,6 +45,8 @@ def predict(run: Run, material: Material, tolerance: float = TOLERANCE) -> Predi
         Of the run's mu and contact.
     tolerance : float
         As in driver.run, where stresses are held.
+    start : record of dtype STATE, optional
+        The default is `first_state(run, material)`.
 
     Returns
     -------
@@ -56,7 +58,7 @@ def predict(run: Run, material: Material, tolerance: float = TOLERANCE) -> Predi
         The law cannot start at the run's first row.
     """
     states = np.zeros(len(run), STATE)
-    states[0] = start = first_state(run, material)
+    states[0] = start = first_state(run, material) if start is None else start
     reached, message = 1, ""
     for control, part in _parts(run):
         gradients = np.multiply.outer(np.diff(run.columns["gamma"])[part], SHEAR)
