@@ -54,6 +54,7 @@ HELD_WITHOUT = {("Z2", "A_xz"): ("a1", "a2", "Zc", "c1"), ("Z2", "A_xz", "N1/p")
 PATH_TOLERANCE = 1e-4       # of histories where stresses are held
 EXPECTED_ROUNDS = 16        # of differences in a fit, for the remaining time
 CHORD_ROUNDS = 5            # of a fit without some of the runs
+NOTED_PHASES = ("all", "first 0.1")         # whose scores are in the file
 SHOWN_CHANGE = 0.1          # largest change of a direction in words, relative to the constants or in sizes
 LEAST_SHOWN = 0.02          # smallest that is shown, of the largest
 NUMBER = re.compile(r"(^|_)(mu|phi)[\d.]+|-[\d.]+$")             # in the name of a run: what does not belong to its programme
@@ -127,7 +128,7 @@ class FittedSet:
                 scores = root_mean_square(self.comparison.scores(model))
                 said[f"scores {model}"] = {
                     phase: {name: _rounded(score, 3) for name, score in zip(QUANTITIES, of_phase) if np.isfinite(score)}
-                    for phase, of_phase in zip(PHASES, scores) if np.isfinite(of_phase).any()}
+                    for phase, of_phase in zip(PHASES, scores) if phase in NOTED_PHASES}
         return said
 
 
@@ -217,9 +218,10 @@ def calibrate(runs: Iterable[Run | str | Path], fit: Sequence[str] = (ALL,), clo
     """
     given = list(runs)
     found = [run for run in given if isinstance(run, Run)]
-    if len(found) < len(given) or not given:
-        found += read_runs([run for run in given if not isinstance(run, Run)], **keys)
     faults = repetitions("closure", closures)
+    if len(found) < len(given) or not given:
+        tables = [run for run in given if not isinstance(run, Run)]
+        found += attempt(faults, "", lambda: read_runs(tables, **keys)) or []
     if not closures:
         faults.append("there is no closure: give at least one")
     for closure in closures:
@@ -230,7 +232,7 @@ def calibrate(runs: Iterable[Run | str | Path], fit: Sequence[str] = (ALL,), clo
     names = {closure: _names(fit, closure, faults) for closure in closures if closure in CLOSURES}
     mus = sorted({run.mu for run in found})
     starts = {(closure, mu): attempt(faults, "", _start, mu, closure, contacts[0], calibration, names[closure])
-              for closure in names for mu in mus}
+              for closure in names for mu in mus if contacts}
     refuse("the law cannot be calibrated", list(dict.fromkeys(faults)))
     show = Progress(progress)
     sets: list[FittedSet] = []

@@ -17,6 +17,7 @@ import numpy as np
 PRIOR = 1.0                 # standard deviation of the start, in sizes
 FIRST_WEIGHT = 1e-3         # k as long as the noise is not known
 STEP = 1e-3                 # of differences, in sizes
+LEAST_NOISE = 1e-3          # of errors that the law follows as exactly as its path is computed
 TOLERANCE = 1e-5            # relative change of the sum or of y at which the search ends
 MOST_ROUNDS = 40            # iterations of a search
 CORRELATED = 0.95           # correlation coefficients from which two constants count as one for the data
@@ -146,14 +147,14 @@ def search(errors: Errors, sample: Sample, constants: Constants, weight: float, 
         return np.hstack([of_errors, weight * np.array([z[m:], np.ones(n), np.zeros(n)])])
     found = least_squares(
         lambda y: np.append(errors(y), y), np.clip(y, lower + STEP * 1e-3, upper - STEP * 1e-3),
-        lambda y: np.vstack([differences(errors, y, upper) if jacobian is None else jacobian, np.eye(n)]), (lower, upper),
+        lambda y: np.vstack([differences(errors, y, lower, upper) if jacobian is None else jacobian, np.eye(n)]), (lower, upper),
         loss=of_data, ftol=TOLERANCE, xtol=TOLERANCE, gtol=None, max_nfev=MOST_ROUNDS)
     return found.x
 
 
-def differences(errors: Errors, y: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """dr/dy (m, n), by differences that stay below the upper bounds."""
-    steps = np.where(y + STEP > upper, -STEP, STEP)
+def differences(errors: Errors, y: np.ndarray, lower: np.ndarray, upper: np.ndarray, ahead: bool = True) -> np.ndarray:
+    """dr/dy (m, n), by differences ahead or behind that stay between the bounds."""
+    steps = np.where(y + STEP > upper, -STEP, STEP) if ahead else np.where(y - STEP < lower, STEP, -STEP)
     here = errors(y)
     return np.column_stack([(errors(y + step) - here) / step.sum() for step in np.diag(steps)])
 
@@ -162,7 +163,8 @@ def examine(errors: Errors, sample: Sample, constants: Constants, y: np.ndarray,
     """What is known of constants at a least sum, which was found with the weight k."""
     lower, upper = ((bound - constants.start) / constants.sizes for bound in (constants.lower, constants.upper))
     on_bounds = (y - lower < STEP) | (upper - y < STEP)
-    r, jacobian = errors(y), differences(errors, y, upper)
+    r = errors(y)
+    jacobian = (differences(errors, y, lower, upper) + differences(errors, y, lower, upper, ahead=False)) / 2
     n, free = len(y), ~on_bounds
     slopes = 1 / np.sqrt(1 + r**2)                               # rho'
     J = jacobian[:, free]
@@ -191,8 +193,8 @@ def _variances(r: np.ndarray, sample: Sample, n: int) -> np.ndarray:
             product = sum(part[lag:] @ part[:-lag] for part in parts)
             if product <= 0:
                 break
-            inflation += 2 * product / max(square, np.finfo(float).tiny)
-        variances[of_kind] = inflation * square / of_kind.sum()
+            inflation += 2 * product / square
+        variances[of_kind] = inflation * max(square / of_kind.sum(), LEAST_NOISE**2)
     return variances * (len(r) / max(len(r) - n, 1))
 
 
