@@ -252,7 +252,7 @@ def calibrate(runs: Iterable[Run | str | Path], fit: Sequence[str] = (ALL,), clo
 def _names(fit: Sequence[str], closure: str, faults: list[str]) -> list[str]:
     """Names of the constants to be fitted, in the order of the core; those of groups as far as the closure has them."""
     every = [name for group in GROUPS.values() for name in group]
-    unused = {*UNUSED[closure], "b3"}
+    unused = _unused(closure)
     names: set[str] = set()
     for name in [fit] if isinstance(fit, str) else fit:
         if name == ALL or name in GROUPS:
@@ -269,13 +269,21 @@ def _names(fit: Sequence[str], closure: str, faults: list[str]) -> list[str]:
 
 
 def _start(mu: float, closure: str, contact: str, calibration: str, names: Sequence[str]) -> Material:
-    """The material in which a fit starts."""
-    needs = {"elastic_strain": START_OF_ELASTIC_STRAIN} if "elastic_strain" in names or closure == "mobilised" else {}
+    """The material in which a fit starts, with all of its constants given: no file is read again."""
+    definition: dict[str, Any] = {"mu": mu, "closure": closure, "contact": contact}
     try:
-        material = Material(mu, closure, contact, calibration=calibration)
-    except ValueError:
-        return Material(mu, closure, contact, calibration=calibration, **needs)
-    return Material(**(material.definition | needs)) if needs and material["elastic_strain"] == 0 else material
+        material = Material(**definition, calibration=calibration)
+    except ValueError:                                           # a calibration without elastic_strain, for mobilised
+        material = Material(**definition, calibration=calibration, elastic_strain=START_OF_ELASTIC_STRAIN)
+    constants = {name: material[name] for name in RANGES if name not in _unused(closure)}
+    if "elastic_strain" in names and not material["elastic_strain"]:
+        constants["elastic_strain"] = START_OF_ELASTIC_STRAIN
+    return Material(**definition, **constants)
+
+
+def _unused(closure: str) -> set[str]:
+    """Names of numbers of a material that are no constants to be written or fitted."""
+    return {*UNUSED[closure], "b3", "mu"}
 
 
 # ---- one friction coefficient, one closure ---------------------------------------------------------------------------------
@@ -320,8 +328,7 @@ class _Search:
 
     def _result(self, found: Fit | None, comparison: Comparison | None) -> FittedSet:
         names = self.constants.names
-        unused = {*UNUSED[self.start.closure], "b3", "mu"}
-        start = {name: self.start[name] for name in RANGES if name not in unused}
+        start = {name: self.start[name] for name in RANGES if name not in _unused(self.start.closure)}
         deviations, on_bounds, correlated, unseen = dict.fromkeys(names, np.nan), [], [], []
         if found is not None:
             deviations = dict(zip(names, (np.sqrt(np.diag(found.covariance)) * self.constants.sizes).tolist()))

@@ -30,6 +30,10 @@ class Sums:
     ----------
     scatter : array (7,)
         Standard deviation that one packing has, by QUANTITIES over the scales of scores: the seeds' where there are several.
+    quantities : array (m,) of int
+        Which of QUANTITIES a mean is of.
+    sample : Sample
+        Errors of a quantity in a phase are of one kind; those of a run follow one another.
     """
 
     def __init__(self, yardsticks: Sequence[Yardstick]) -> None:
@@ -48,10 +52,10 @@ class Sums:
                 means.append(shares / shares.sum(axis=1, keepdims=True))
                 alike = (phase == phase[:, None]).sum(axis=1) * len(np.unique(phase))
                 weights.append(1 / alike)
-                parts.append(np.tile([[number], [kind]], len(phase)))
+                parts.append(np.stack([np.full_like(phase, number), np.full_like(phase, kind), phase]))
             self._means.append(means)
-        self._runs, kinds = np.hstack(parts)
-        self.sample = Sample(np.hstack(weights), kinds, self._runs)
+        self._runs, self.quantities, phases = np.hstack(parts)
+        self.sample = Sample(np.hstack(weights), self.quantities * (len(PHASE_ENDS) + 1) + phases, self._runs)
 
     def rows(self, runs: Sequence[int]) -> np.ndarray:
         """Which (m,) of all means are of some runs."""
