@@ -170,8 +170,8 @@ def _rounded(value: float, digits: int) -> float:
 
 
 def _direction_in_words(direction: Mapping[str, float], constants: Mapping[str, float]) -> str:
-    """A joint change of constants such as "c1 by +10 %, c3 by -10 %"."""
-    relative = {name: change / abs(constants[name]) if constants[name] and name not in OFFSETS
+    """A joint change of constants such as "c1 by +10.0%, c3 by -10.0%", of their values."""
+    relative = {name: change / constants[name] if constants[name] and name not in OFFSETS
                 else change / RANGES_OF_FITS[name][2] for name, change in direction.items()}
     largest = max(map(abs, relative.values()))
     sign = next(np.sign(value) for value in relative.values() if abs(value) >= LEAST_SHOWN * largest)
