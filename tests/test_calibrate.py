@@ -11,7 +11,7 @@ import pytest
 from granumat import Material, driver
 from granumat.cli import main
 from granumat.files import write_table
-from granumat.grains import Run, Yardstick, calibrate, calibration, predict, read_runs
+from granumat.grains import Run, Yardstick, calibrate, calibration, predict
 from granumat.grains.fitting import Constants, Sample, fit
 from granumat.grains.measured import FABRIC, STRESSES, with_ratios
 from granumat.grains.sums import Sums, bins_of
@@ -103,7 +103,8 @@ def calibration_of(tmp_path):
     """Writes a calibration file with the constants of a material but some, and returns its name."""
     def write(material, **others):
         names = [name for name in calibration.RANGES_OF_FITS if (material.closure, name) != ("mobilised", "a4")]
-        write_content(tmp_path / "start.toml", {"constants": [{"mu": material["mu"]} | {name: material[name] for name in names} | others]})
+        row = {"mu": material["mu"]} | {name: material[name] for name in names} | others
+        write_content(tmp_path / "start.toml", {"constants": [row]})
         return str(tmp_path / "start.toml")
     return write
 
@@ -258,7 +259,8 @@ def test_the_command_writes_a_file_that_compare_takes(table, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "mu 0.5, closure full, 1 run\n" in printed and "held at their start" in printed and f"wrote {out}" in printed
     (tmp_path / "fitted.toml").write_text(f'[material]\ncalibration = "{out.name}"\n')
-    assert main(["compare", str(table), "--mu", "0.5", "--material", str(tmp_path / "fitted.toml"), "--out", str(tmp_path / "c")]) == 0
+    arguments = ["--material", str(tmp_path / "fitted.toml"), "--out", str(tmp_path / "scores")]
+    assert main(["compare", str(table), "--mu", "0.5", *arguments]) == 0
 
 
 def test_ctrl_c_leaves_the_constants_so_far_and_the_old_file(table, tmp_path, capsys, monkeypatch):

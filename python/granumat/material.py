@@ -146,15 +146,7 @@ class Material:
         faults: list[str] = []
         closure_number = choose("closure", closure, CLOSURES, faults)
         contact_number = choose("contact", contact, CONTACTS, faults)
-        fitted: dict[str, float] = {}
-        if is_calibration_file(calibration):
-            calibration, calibration_number = str(Path(calibration).absolute()), 0
-            fitted = _fitted(calibration, mu, closure, contact, friction, faults)
-        elif isinstance(calibration, str) and calibration in SHIPPED:
-            calibration_number = 0
-            fitted = _fitted(SHIPPED[calibration], mu, closure, contact, friction, faults)
-        else:
-            calibration_number = choose("calibration", calibration, (*CALIBRATIONS, *SHIPPED), faults)
+        calibration, calibration_number, fitted = _calibrated(calibration, mu, closure, contact, friction, faults)
         choose("friction", friction, FRICTIONS, faults)
         method_number = choose("method", method, METHODS, faults)
         spin_number = choose("spin", spin, SPINS, faults)
@@ -186,7 +178,8 @@ class Material:
         faulty, valid = core.complete_parameters(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
-        mobilised_faults = _mobilised_faults(values.get("elastic_strain", 0.0 if elastic_strain is None else None), method) if closure == "mobilised" else []
+        turns_over = values.get("elastic_strain", None if "elastic_strain" in given else 0.0)
+        mobilised_faults = _mobilised_faults(turns_over, method) if closure == "mobilised" else []
         faults += mobilised_faults
         if not faulty.any() and not valid[0] and not mobilised_faults:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
@@ -693,12 +686,18 @@ def _records(states: object) -> np.ndarray:
     return np.ascontiguousarray(states).reshape(states.shape)
 
 
-def _fitted(calibration: str | Path, mu: float, closure: str, contact: str, friction: str, faults: list[str]) -> dict[str, float]:
-    """The constants of a calibration file that have a role."""
+def _calibrated(calibration: str, mu: float, closure: str, contact: str, friction: str,
+                faults: list[str]) -> tuple[str, int, dict[str, float]]:
+    """The name of a calibration, a file's in full; its number in the core; what it has in place of the printed constants."""
+    if is_calibration_file(calibration):
+        calibration = str(Path(calibration).absolute())
+    elif not isinstance(calibration, str) or calibration not in SHIPPED:
+        return calibration, choose("calibration", calibration, (*CALIBRATIONS, *SHIPPED), faults), {}
     constants = [name for name in RANGES if name != "mu"]
-    fitted = attempt(faults, "", read_constants, calibration, mu, contact, closure, CLOSURES, constants) or {}
+    filename = SHIPPED.get(calibration, calibration)
+    fitted = attempt(faults, "", read_constants, filename, mu, contact, closure, CLOSURES, constants) or {}
     unused = (*UNUSED.get(closure, ()), *(("b3",) if friction == "linear" else ()))
-    return {name: value for name, value in fitted.items() if name not in unused}
+    return calibration, 0, {name: value for name, value in fitted.items() if name not in unused}
 
 
 def _remake(given: dict[str, Any]) -> Material:

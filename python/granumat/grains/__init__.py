@@ -6,5 +6,5 @@ from .measured import KEYS, Run, read_runs
 from .predicted import Prediction, predict
 from .scores import PHASES, QUANTITIES, Yardstick
 
-__all__ = ["ALL", "GROUPS", "KEYS", "PHASES", "QUANTITIES", "Calibration", "Comparison", "FittedSet", "Prediction", "Run", "Yardstick",
-           "calibrate", "compare", "predict", "read_model", "read_runs"]
+__all__ = ["ALL", "GROUPS", "KEYS", "PHASES", "QUANTITIES", "Calibration", "Comparison", "FittedSet", "Prediction", "Run",
+           "Yardstick", "calibrate", "compare", "predict", "read_model", "read_runs"]

@@ -275,7 +275,7 @@ def _start(mu: float, closure: str, contact: str, calibration: str, names: Seque
         material = Material(**definition, calibration=calibration)
     except ValueError:                                           # a calibration without elastic_strain, for mobilised
         material = Material(**definition, calibration=calibration, elastic_strain=START_OF_ELASTIC_STRAIN)
-    constants = {name: material[name] for name in RANGES if name not in _unused(closure)}
+    constants: dict[str, Any] = {name: material[name] for name in RANGES if name not in _unused(closure)}
     if "elastic_strain" in names and not material["elastic_strain"]:
         constants["elastic_strain"] = START_OF_ELASTIC_STRAIN
     return Material(**definition, **constants)

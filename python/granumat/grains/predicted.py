@@ -58,20 +58,21 @@ def predict(run: Run, material: Material, tolerance: float = TOLERANCE, start: n
         The law cannot start at the run's first row.
     """
     states = np.zeros(len(run), STATE)
-    states[0] = start = first_state(run, material) if start is None else start
+    state: np.record | np.void = first_state(run, material) if start is None else start
+    states[0] = state
     reached, message = 1, ""
     for control, part in _parts(run):
         gradients = np.multiply.outer(np.diff(run.columns["gamma"])[part], SHEAR)
         step = Step(control, **controlled(control))
         values = np.column_stack([np.zeros((len(gradients), 0)), *(run.columns[name][1:][part] for name in CONTROLS[control][1])])
-        targets = np.vstack([step.functionals @ start["stress"], values])
-        found, _, status = material.follow(start, gradients, step.modes, step.functionals, targets, tolerance)
+        targets = np.vstack([step.functionals @ state["stress"], values])
+        found, _, status = material.follow(state, gradients, step.modes, step.functionals, targets, tolerance)
         states[reached:reached + len(found)] = found
         reached += len(found)
         if status:
             message = f"ends at gamma_total = {run.columns['gamma_total'][reached - 1]:.4g}: {status_message(status)}"
             break
-        start = states[reached - 1]
+        state = states[reached - 1]
     columns = columns_of(states)
     for column in columns.values():
         column[reached:] = np.nan
