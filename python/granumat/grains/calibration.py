@@ -52,8 +52,8 @@ OF_STRESS, OF_STATE = ([QUANTITIES.index(name) for name in names]
 HELD_WITHOUT = {("Z2", "A_xz"): ("a1", "a2", "Zc", "c1"), ("Z2", "A_xz", "N1/p"): ("a3", "a4")}
 
 PATH_TOLERANCE = 1e-4       # of histories where stresses are held
-EXPECTED_ROUNDS = 16        # of differences in a fit, for the remaining time
-CHORD_ROUNDS = 5            # of a fit without some of the runs
+# For the remaining time: rounds of differences in a fit, and of errors in one without some of the runs, 1.5 of these for each run.
+ROUNDS, ROUNDS_LEFT_OUT = 20, 7
 NOTED_PHASES = ("all", "first 0.1")         # whose scores are in the file
 SHOWN_CHANGE = 0.1          # largest change of a direction in words, relative to the constants or in sizes
 LEAST_SHOWN = 0.02          # smallest that is shown, of the largest
@@ -308,7 +308,7 @@ class _Search:
         self.constants = Constants(fitted, first, np.minimum(lower, first), np.maximum(upper, first), sizes)
         self.y = np.zeros(len(fitted))                           # the best so far
         self._tell, self._stop = tell, stop
-        self._done, self._expected = 0, EXPECTED_ROUNDS * (len(fitted) + 2) * len(runs)
+        self._done, self._expected = 0, (ROUNDS * (len(fitted) + 1) + ROUNDS_LEFT_OUT * 1.5 * len(runs)) * len(runs)
         self._stage = "histories"
 
     def run(self) -> FittedSet:
