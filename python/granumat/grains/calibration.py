@@ -387,7 +387,7 @@ class _Search:
                 return np.full(size, UNREACHED) if material is None else errors(material)
             except MaterialError:
                 return np.full(size, UNREACHED)
-        sample = Sample(np.full(size, 1 / size), np.zeros(size, int), np.zeros(size, int))
+        sample = Sample(np.full(size, 1 / size), np.zeros(size, int))
         self.y[which] = search(of_part, sample, self.constants.part(which), FIRST_WEIGHT, self.y[which])
 
     def _stress_errors(self, material: Material) -> np.ndarray:
@@ -446,7 +446,7 @@ class _Search:
         """The best y without some runs, by the chord method from that of all."""
         others = [number for number in range(len(self.runs)) if number not in left_out]
         rows, sample = self.sums.rows(others), self.sums.sample
-        return search(lambda y: self._errors(y, others), Sample(sample.weights[rows], sample.kinds[rows], sample.series[rows]),
+        return search(lambda y: self._errors(y, others), Sample(sample.weights[rows], sample.kinds[rows]),
                       self.constants, found.weight, found.y, found.jacobian[rows])
 
     def _predictions(self, material: Material | None, numbers: Sequence[int]) -> list[Prediction]:

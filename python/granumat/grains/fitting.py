@@ -63,14 +63,11 @@ class Sample:
     ----------
     weights : array (m,)
     kinds : array (m,) of int
-        Errors of a kind have the same noise.
-    series : array (m,) of int
-        Errors of a series follow one another.
+        Errors of a kind have the same noise and follow one another.
     """
 
     weights: np.ndarray
     kinds: np.ndarray
-    series: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -185,16 +182,14 @@ def _variances(r: np.ndarray, sample: Sample, n: int) -> np.ndarray:
     """Variances (m,) of errors r (m,), by kind; those of sums of errors that follow one another and are alike are larger."""
     variances = np.zeros(len(r))
     for kind in np.unique(sample.kinds):
-        of_kind = sample.kinds == kind
-        parts = [r[of_kind & (sample.series == series)] for series in np.unique(sample.series[of_kind])]
-        square = sum(part @ part for part in parts)
-        inflation = 1.0
-        for lag in range(1, max(map(len, parts))):
-            product = sum(part[lag:] @ part[:-lag] for part in parts)
+        of_kind = r[sample.kinds == kind]
+        square, inflation = of_kind @ of_kind, 1.0
+        for lag in range(1, len(of_kind)):
+            product = of_kind[lag:] @ of_kind[:-lag]
             if product <= 0:
                 break
             inflation += 2 * product / square
-        variances[of_kind] = inflation * max(square / of_kind.sum(), LEAST_NOISE**2)
+        variances[sample.kinds == kind] = inflation * max(square / len(of_kind), LEAST_NOISE**2)
     return variances * (len(r) / max(len(r) - n, 1))
 
 

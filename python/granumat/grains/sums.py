@@ -33,7 +33,7 @@ class Sums:
     quantities : array (m,) of int
         Which of QUANTITIES a mean is of.
     sample : Sample
-        Errors of a quantity in a phase are of one kind; those of a run follow one another.
+        Errors of a quantity in a phase of a run are of one kind.
     """
 
     def __init__(self, yardsticks: Sequence[Yardstick]) -> None:
@@ -55,7 +55,8 @@ class Sums:
                 parts.append(np.stack([np.full_like(phase, number), np.full_like(phase, kind), phase]))
             self._means.append(means)
         self._runs, self.quantities, phases = np.hstack(parts)
-        self.sample = Sample(np.hstack(weights), self.quantities * (len(PHASE_ENDS) + 1) + phases, self._runs)
+        kinds = np.unique([self._runs, self.quantities, phases], axis=1, return_inverse=True)[1].reshape(-1)
+        self.sample = Sample(np.hstack(weights), kinds)
 
     def rows(self, runs: Sequence[int]) -> np.ndarray:
         """Which (m,) of all means are of some runs."""
