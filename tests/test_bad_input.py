@@ -96,10 +96,10 @@ def test_2000_random_property_sets_are_refused_in_words_or_give_a_usable_materia
 def test_all_faults_come_in_one_message():
     with pytest.raises(ValueError) as caught:
         Material(mu=1.5, closure="ful", contact="hooke", friction="quadratic", calibration="table", elastic_strain=-1,
-                 zc=3, c3=0, a1="x")
+                 zc=3, c3=-1, a1="x")
     for words in ("mu = 1.5: must be at least 0 and at most 1", "closure 'ful'", "did you mean 'full'", "contact 'hooke'",
                   "calibration 'table'", "elastic_strain = -1.0: must be at least 0", "unknown name 'zc'",
-                  "c3 = 0.0: must be above 0", "a1 = 'x': must be a number, above 0", "give b1, b2, b3"):
+                  "c3 = -1.0: must be at least 0", "a1 = 'x': must be a number, above 0", "give b1, b2, b3"):
         assert words in str(caught.value)
 
 

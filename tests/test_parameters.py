@@ -105,3 +105,29 @@ def test_b1_term_raises_the_isotropic_pressure():
     start = Material(0.5).isotropic(0.60, pressure=0.005)
     plain, extra = (Material(0.5, g=value).update(start, -1e-3 * np.eye(3)) for value in (0.0, g))
     assert extra.stress[0] / plain.stress[0] == pytest.approx((0.0073 - np.sqrt(6) * g) / 0.0073, rel=1e-12)
+
+
+@pytest.mark.parametrize("c3", [1e-9, 1e-12, 1e-20, 0.0])
+def test_a7_does_not_cancel_as_c3_vanishes(c3):
+    c1, c2 = -0.5, -13.0
+    material = Material(0.5, c1=c1, c2=c2, c3=c3)
+    chi = -2 * c1 / c2                                               # of dx/ds = 2 c1 + c2 x + c3 x^2 at c3 = 0, and
+    chi *= 1 + c3 * chi / -c2                                        # the first order in c3
+    assert material["chi"] == pytest.approx(-abs(chi), rel=1e-14)
+    assert material["lambda"] == pytest.approx(material["chi"] / 2, rel=1e-14)
+
+
+def test_without_c3_the_fabric_is_the_solution_of_a_linear_equation():
+    c1, c2 = -0.5, -13.0
+    material = Material(0.5, c1=c1, c2=c2, c3=0.0)
+    state = material.state(0.6, 5.3, [0.0, 0.0, 0.0, 0.0, 0.03, 0.0])
+    gradient = np.zeros((3, 3))
+    gradient[0, 2] = gradient[2, 0] = 0.1                            # abs(D) = 0.1, no spin
+    state = material.update(state, gradient)
+    x = material["chi"] + (0.06 - material["chi"]) * np.exp(c2 * 0.1)
+    assert 2 * state.fabric[4] == pytest.approx(x, rel=1e-13)
+    # (4.8) with f = Z2's steady value: integrated by the same exponentials
+    d1, d2, f = material["d1"], material["d2"], material["Zc"] + material["beta1"] * (0.6 - material["phic"]) ** 0.5
+    share = (np.exp(c2 * 0.1) - np.exp(-d2 * 0.1)) / (c2 + d2)
+    Z2 = f + (5.3 - f) * np.exp(-d2 * 0.1) + d1 * (0.06 - material["chi"]) * share
+    assert state.coordination_number == pytest.approx(Z2, rel=1e-13)

@@ -63,6 +63,13 @@ def test_tangent_of_large_increments_in_substeps(rng, mu):
     check(material, states[size > 1e-2], gradient[size > 1e-2], 1e-3, 1e-8)
 
 
+def test_tangent_without_the_term_that_limits_the_fabric(rng):
+    material = Material(0.5, c2=-13.0, c3=0.0)
+    states, gradient = random_states(rng, material, 500, 0.02, excess=(0.5, 1.2))
+    size = tensors.magnitude(tensors.to_voigt((gradient + np.swapaxes(gradient, 1, 2)) / 2))
+    check(material, states[size > 1e-3], gradient[size > 1e-3], 0.01, 1e-8)
+
+
 # the model's stress by polynomials of degree 1, 2 and 4, and with a steep kernel; small increments leave differences more round-off
 @pytest.mark.parametrize(("elastic_strain", "largest", "share", "tolerance"), [
     (0.01, 1e-6, 0.1, 1e-6), (0.01, 3e-5, 0.1, 1e-7), (0.01, 0.01, 0.01, 1e-8), (1e-4, 2e-3, 0.01, 1e-8)])

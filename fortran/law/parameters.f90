@@ -43,6 +43,8 @@ module granumat_parameters
   end type constant_range
 
   real(dp), parameter :: UNBOUNDED = huge(1.0_dp)
+  !> c3 = 0 is taken as this one, whose term in (4.7) is below round-off: the solution divides by c3.
+  real(dp), parameter :: LEAST_C3 = 1.0e-30_dp
   type(constant_range), parameter, public :: RANGES(N_CONSTANTS) = [ &
     constant_range("mu",             0.0_dp,     1.0_dp,     .true.), &
     constant_range("a1",             0.0_dp,     UNBOUNDED,  .false.), &
@@ -56,7 +58,7 @@ module granumat_parameters
     constant_range("phic",           0.0_dp,     1.0_dp,     .false.), &
     constant_range("c1",             -UNBOUNDED, 0.0_dp,     .false.), &
     constant_range("c2",             -UNBOUNDED, 0.0_dp,     .true.), &
-    constant_range("c3",             0.0_dp,     UNBOUNDED,  .false.), &
+    constant_range("c3",             0.0_dp,     UNBOUNDED,  .true.), &
     constant_range("d1",             -UNBOUNDED, UNBOUNDED,  .false.), &
     constant_range("d2",             0.0_dp,     UNBOUNDED,  .true.), &
     constant_range("d3",             -UNBOUNDED, UNBOUNDED,  .false.), &
@@ -118,14 +120,16 @@ contains
 
   end function parameters_from_friction
 
-  !> Sets chi, kappa, lambda (A 7)-(A 9) and the fabric's limit from c1, c2, c3; where the pressure evolves, also g and beta2,
-  !! which have no role there.
+  !> Sets chi, kappa, lambda (A 7)-(A 9) and the fabric's limit from c1, c2, c3; (A 7) with its root in the denominator, since
+  !! -(c2 + root)/(2 c3) cancels as c3 goes to 0, where chi = -2 c1/c2. Where the pressure evolves, also g and beta2, which have no
+  !! role there.
   pure subroutine derive_constants(par)
     type(material_parameters), intent(inout) :: par
     real(dp) :: root
 
+    par%c3 = max(par%c3, LEAST_C3)
     root = sqrt(par%c2**2 - 8 * par%c1 * par%c3)
-    par%chi = -(par%c2 + root) / (2 * par%c3)
+    par%chi = 4 * par%c1 / (root - par%c2)
     par%kappa = sqrt(-par%c1 * par%chi / (2 * (par%c2 + par%c3 * par%chi)))
     par%lambda = -par%c1 / (par%c2 + par%c3 * par%chi)
     par%fabric_limit = (root - par%c2) / (4 * par%c3)

@@ -1,4 +1,4 @@
-"""Calibration files: constants of the law as a table over mu, which take the place of the paper's.
+"""Calibrations beside the paper's: constants of the law as a table over mu, in files, of which granumat ships some by name.
 
     contact = "hookean"         # of the grains that they were fitted to
 
@@ -12,7 +12,8 @@
     a1 = 0.0088
     phic = 0.577
 
-Between two mu constants are linear. A table `[provenance]` says where they are from.
+Between two mu constants are linear. Tables of the name of a closure, such as `[[mobilised]]`, hold for that one in place of
+`[[constants]]`. Tables `[[fitted]]` and `[provenance]` say where constants are from and how well they are known.
 """
 
 from collections.abc import Sequence
@@ -24,8 +25,10 @@ import numpy as np
 from .checks import choose, is_finite_number, is_number, refuse
 from .toml import read_toml, tables_of
 
-TABLES = ("contact", "constants", "provenance")
+COMMON = "constants"        # table of the closures that have none of their own
+NOTES = ("fitted", "provenance")
 SUFFIX = ".toml"
+SHIPPED = {file.stem: file for file in sorted((Path(__file__).parent / "constants").glob(f"*{SUFFIX}"))}
 EQUAL_MU = 1e-9             # difference of friction coefficients that count as the same
 
 
@@ -34,8 +37,9 @@ def is_calibration_file(calibration: object) -> bool:
     return isinstance(calibration, str) and calibration.endswith(SUFFIX)
 
 
-def read_constants(filename: str | Path, mu: float, contact: str, allowed: Sequence[str]) -> dict[str, float]:
-    """Read the constants that a calibration file has for a friction coefficient.
+def read_constants(filename: str | Path, mu: float, contact: str, closure: str, closures: Sequence[str],
+                   allowed: Sequence[str]) -> dict[str, float]:
+    """Read the constants that a calibration file has for a friction coefficient and a closure.
 
     Parameters
     ----------
@@ -44,6 +48,9 @@ def read_constants(filename: str | Path, mu: float, contact: str, allowed: Seque
         Within the range of the file.
     contact : str
         That of the file, if it says one.
+    closure : str
+    closures : sequence of str
+        Names that tables may have.
     allowed : sequence of str
         Names that constants may have.
 
@@ -61,19 +68,22 @@ def read_constants(filename: str | Path, mu: float, contact: str, allowed: Seque
     content = read_toml(filename)
     faults: list[str] = []
     for name in content:
-        if name not in TABLES:
-            choose("unknown table or key", name, TABLES, faults)
-    rows = tables_of(content, "constants")
-    if not rows:
-        faults.append("has no [[constants]]")
-    for number, row in enumerate(rows, 1):
-        faults += [f"constants {number}: {fault}" for fault in _faults_of_row(row, rows[0], allowed)]
+        if name not in (tables := ("contact", COMMON, *closures, *NOTES)):
+            choose("unknown table or key", name, tables, faults)
+    of_closures = {name: tables_of(content, name) for name in (COMMON, *closures) if name in content}
+    if not any(of_closures.values()):
+        faults.append(f"has no [[{COMMON}]]")
+    for name, rows in of_closures.items():
+        for number, row in enumerate(rows, 1):
+            faults += [f"{name} {number}: {fault}" for fault in _faults_of_row(row, rows[0], allowed)]
     refuse(f"{filename} is no calibration", faults)
-    rows = sorted(rows, key=lambda row: row["mu"])
+    rows = sorted(of_closures.get(closure) or of_closures.get(COMMON, []), key=lambda row: row["mu"])
     known = np.array([row["mu"] for row in rows], float)
     if (np.diff(known) <= EQUAL_MU).any():
         faults.append(f"has constants for one mu twice: {', '.join(f'{value:g}' for value in known)}")
-    if not is_number(mu) or not known[0] - EQUAL_MU <= mu <= known[-1] + EQUAL_MU:
+    if not rows:
+        faults.append(f"has constants for the closure {' and '.join(of_closures)}, not for {closure}")
+    elif not is_number(mu) or not known[0] - EQUAL_MU <= mu <= known[-1] + EQUAL_MU:
         covered = f"{known[0]:g}" if len(rows) == 1 else f"{known[0]:g} to {known[-1]:g}"
         faults.append(f"has constants for mu = {covered}, not for {mu!r}")
     if content.get("contact", contact) != contact:

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import io
+import itertools
 import logging
 import os
 import sys
@@ -14,11 +15,13 @@ from pathlib import Path
 from typing import Any, TextIO, TypeVar
 
 from . import __version__, driver, examples, installed, quantities, summaries
+from .calibrations import is_calibration_file
 from .checks import choose, refuse, repetitions
 from .completion import SHELLS, completion_script
 from .errors import GranumatError, InterruptedRunError
 from .files import clear, locked, replacing
-from .grains import KEYS
+from .grains import ALL, GROUPS, KEYS
+from .grains.measured import key_file, run_of
 from .paths import read_path_file
 from .studies.cases import CASES
 
@@ -83,9 +86,9 @@ def _parser() -> argparse.ArgumentParser:
     def command(name: str, run: Callable[[argparse.Namespace], Any], words: str) -> argparse.ArgumentParser:
         added = commands.add_parser(name, help=words, description=words)
         added.set_defaults(run=run)
-        if run not in (run_bench, run_check, run_completion, run_example, run_umat):
+        if run not in (run_bench, run_calibrate, run_check, run_completion, run_example, run_umat):
             added.add_argument("--out", type=Path, required=True, help="directory for what is written")
-        if run in (run_point, run_solve, run_ladder, run_check, run_compare):
+        if run in (run_point, run_solve, run_ladder, run_check, run_compare, run_calibrate):
             added.add_argument("--json", action="store_true", help="print the result, or the error, as JSON instead of words")
         return added
 
@@ -109,8 +112,18 @@ def _parser() -> argparse.ArgumentParser:
                          "are seeds of one run")
     compare.add_argument("--material", type=Path, action="append", default=[], metavar="FILE",
                          help="a TOML file whose [material] is compared beside the printed law; can be given several times")
-    for name, key in KEYS.items():
-        compare.add_argument(f"--{name}", type=key.kind, help=f"of all runs: {key.words}; {key.must_be}")
+    calibrate = command("calibrate", run_calibrate, "fit constants of the law to measured histories of simple shear")
+    calibrate.add_argument("data", type=Path, nargs="+", metavar="DATA", help="tables of the histories, as for compare")
+    calibrate.add_argument("--out", type=Path, required=True, metavar="NAME.toml",
+                           help='the calibration file, for calibration = "NAME.toml"; an old one is replaced')
+    calibrate.add_argument("--fit", nargs="+", default=[ALL], metavar="NAME",
+                           help=f"constants to be fitted, or groups of them: {', '.join((ALL, *GROUPS))}; the default is {ALL}")
+    calibrate.add_argument("--closure", action="append", metavar="NAME",
+                           help="that is fitted, full if none is given; several times for several, each by itself")
+    calibrate.add_argument("--calibration", default="table-1", metavar="NAME",
+                           help="where constants start, and what those are that are not fitted: as in [material]")
+    for user, (name, key) in itertools.product((compare, calibrate), KEYS.items()):
+        user.add_argument(f"--{name}", type=key.kind, help=f"of all runs: {key.words}; {key.must_be}")
     example = command("example", run_example, "print a path or scene file to start from; without a name, list them")
     example.add_argument("name", nargs="?", help="of the example")
     example.set_defaults(completes=examples.example_files())
@@ -243,6 +256,27 @@ def run_compare(options: argparse.Namespace) -> dict[str, Any]:
     print(comparison)
     _say_written(written)
     return {"files": written} | summaries.of_comparison(comparison)
+
+
+def run_calibrate(options: argparse.Namespace) -> dict[str, Any]:
+    """Run `granumat calibrate`: the calibration file, and what was found on screen."""
+    from . import grains
+    if _is_idle_rank(options):
+        return {}
+    if not is_calibration_file(options.out.name) or not options.out.absolute().parent.is_dir():
+        raise ValueError(f"--out {options.out}: must be a file that ends in .toml, in a directory that is there")
+    if options.out.absolute() in [key_file(run_of(table)).absolute() for table in options.data]:
+        raise ValueError(f"--out {options.out}: is the name of the file that says what the data beside it are; give another one")
+    keys = {name: getattr(options, name) for name in KEYS if getattr(options, name) is not None}
+    found = grains.calibrate(options.data, options.fit, options.closure or ["full"], options.calibration, sys.stderr, **keys)
+    written = options.out.with_suffix(".partial.toml") if found.interrupted else options.out
+    found.write(written)
+    if found.interrupted:
+        raise InterruptedRunError(f"{found.interrupted} has ended the calibration; the constants so far are in {written}, "
+                                  f"--calibration {written} goes on from there")
+    print(found)
+    _say_written([written])
+    return {"files": [written]} | summaries.of_calibration(found)
 
 
 def run_example(options: argparse.Namespace) -> None:

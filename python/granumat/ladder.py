@@ -21,6 +21,7 @@ from .coarsen import CONSTANT, DIMENSION, MODEL, NUMERICS, Axis, Content, Rung
 from .estimate import TINY
 from .files import locked_by_one
 from .ladder_report import write_report
+from .paths import read_material
 from .quantities import Quantity
 from .runs import BudgetSpent, PointRunner, Result, Runner, Runs
 from .toml import read_toml
@@ -437,6 +438,9 @@ def climb(file: str | Path, tolerance: float, out: str | Path, budget: int | Non
     runner = runner or (_scene_runner(file) if is_scene(file) else PointRunner(file))
     if not runner.quantities:
         raise ValueError(f"{file} has no [[quantity]]: there is nothing to compare models by")
+    elastic_strain = read_material(content, file.parent)["elastic_strain"]       # the calibration's, where the file has none
+    if elastic_strain and "elastic_strain" not in content["material"]:
+        content = coarsen.with_material(content, elastic_strain=elastic_strain)
     axes = (coarsen.scene_axes(content) if is_scene(file) else coarsen.path_axes(content)) + coarsen.constants(content)
     with locked_by_one(runner.on_one, out):
         ladder = Ladder(content, axes, runner.quantities, tolerance, Runs(runner, out, file.parent, budget, progress))

@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from . import core, tensors
-from .calibrations import is_calibration_file, read_constants
+from .calibrations import SHIPPED, is_calibration_file, read_constants
 from .checks import attempt, check_type, choose, is_finite_number, is_number, is_positive_integer, real_array, refuse, short
 from .core import STATE, status_message
 from .errors import MaterialError
@@ -98,12 +98,13 @@ class Material:
         Equation of the friction coefficient: "linear" (4.5) or "quadratic" (4.6); the latter needs b1, b2 and b3, which the paper
         does not print.
     calibration : str
-        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16"; or the name of a
-        calibration file, which ends in ".toml", whose constants take the place of table 1's.
-    elastic_strain : float
+        Where a4 is taken from, as the paper gives it in three places: "table-1", "text" or "figure-16"; or "dem-2026", constants
+        fitted to discrete-element runs; or the name of a calibration file, which ends in ".toml", whose constants take the place of
+        table 1's.
+    elastic_strain : float, optional
         e_r, the strain over which the deviatoric stress relaxes to the model's; with 0, the paper's law, it is the model's at once.
         In the closures "mobilised" and "mobilised-pressure", which need one, the strain over which friction turns; 0.005 to 0.02
-        in discrete-element runs.
+        in discrete-element runs. The default is the calibration's, 0 in the paper's.
     method : str
         How increments are integrated: "exact", or, to compare with it, "forward-euler", "midpoint" (explicit), "rk4" or
         "backward-euler" in one step per increment, or "bogacki-shampine" in substeps whose error is estimated.
@@ -142,23 +143,19 @@ class Material:
     _given: dict[str, Any]
 
     def __init__(self, mu: float = 0.5, closure: str = "full", contact: str = "hookean", friction: str = "linear",
-                 calibration: str = "table-1", elastic_strain: float = 0.0, method: str = "exact", spin: str = "inside",
+                 calibration: str = "table-1", elastic_strain: float | None = None, method: str = "exact", spin: str = "inside",
                  method_tolerance: float = 1e-6, **constants: float) -> None:
         faults: list[str] = []
         closure_number = choose("closure", closure, CLOSURES, faults)
         contact_number = choose("contact", contact, CONTACTS, faults)
-        fitted: dict[str, float] = {}
-        if is_calibration_file(calibration):
-            calibration, calibration_number = str(Path(calibration).absolute()), 0
-            fitted = _fitted(calibration, mu, closure, contact, friction, faults)
-        else:
-            calibration_number = choose("calibration", calibration, CALIBRATIONS, faults)
+        calibration, calibration_number, fitted = _calibrated(calibration, mu, closure, contact, friction, faults)
         choose("friction", friction, FRICTIONS, faults)
         method_number = choose("method", method, METHODS, faults)
         spin_number = choose("spin", spin, SPINS, faults)
         if not is_number(method_tolerance) or not 0 < method_tolerance < 1:
             faults.append(f"method_tolerance = {method_tolerance!r}: must be a number in (0, 1)")
-        given = {"mu": mu, "elastic_strain": elastic_strain, **fitted, **constants}
+        chosen = constants if elastic_strain is None else {"elastic_strain": elastic_strain, **constants}
+        given = {"mu": mu, **fitted, **chosen}
         for name, value in given.items():
             if name not in RANGES:
                 choose("unknown name", name, OPTIONS + tuple(RANGES), faults)
@@ -183,9 +180,10 @@ class Material:
         faulty, valid = core.complete_parameters(par)
         faults += [f"{name} = {value!r}: must be {describe_range(name)}"
                    for name, value in values.items() if faulty[names.index(name)]]
-        mobilised_faults = _turning_faults(closure, values.get("elastic_strain"), method) if closure in TURNING else []
-        faults += mobilised_faults
-        if not faulty.any() and not valid[0] and not mobilised_faults:
+        turns_over = values.get("elastic_strain", None if "elastic_strain" in given else 0.0)
+        turning_faults = _turning_faults(closure, turns_over, method) if closure in TURNING else []
+        faults += turning_faults
+        if not faulty.any() and not valid[0] and not turning_faults:
             faults.append(", ".join(f"{name} = {par[names.index(name)]!r}" for name in ("c1", "c2", "c3"))
                           + ": chi, kappa, lambda (A 7)-(A 9), which follow from them, must be finite and kappa above 0")
         refuse("the material cannot be made", faults)
@@ -195,8 +193,7 @@ class Material:
             constants=MappingProxyType(dict(zip(names + list(DERIVED), par.tolist()))), _par=par,
             _scheme=(method_number, spin_number, method_tolerance),
             _given={"mu": mu, "closure": closure, "contact": contact, "friction": friction, "calibration": calibration,
-                    "elastic_strain": elastic_strain, "method": method, "spin": spin, "method_tolerance": method_tolerance,
-                    **constants})
+                    "method": method, "spin": spin, "method_tolerance": method_tolerance, **chosen})
 
     def __setattr__(self, name: str, value: object) -> None:
         raise TypeError(f"{name} cannot be set: a material does not change; make another one, "
@@ -406,30 +403,36 @@ class Material:
         """Shear strain that leads to the steady state from any other: the influence of the start is then below round-off."""
         return 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
 
-    def steady(self, volume_fraction: float) -> np.record:
+    @overload
+    def steady(self, volume_fraction: float) -> np.record: ...
+
+    @overload
+    def steady(self, volume_fraction: np.ndarray) -> np.recarray: ...
+
+    def steady(self, volume_fraction: float | np.ndarray) -> np.record | np.recarray:
         """Find the state of steady simple shear at constant volume, du_x/dz > 0: A and Z2 at which (4.7) and (4.8) vanish.
 
         Found by the exact update, whatever the material's method.
 
         Parameters
         ----------
-        volume_fraction : float
-            phi, in (0, 1).
+        volume_fraction : float or array (n,)
+            phi, in (0, 1); several take hardly longer than one.
 
         Returns
         -------
-        record of dtype STATE
+        record or record array (n,) of dtype STATE
         """
         parts = 1
         if self.closure in TURNING:
             parts = int(np.ceil(self.steady_strain / (LONGEST_PART * self["elastic_strain"])))
-        gradient = np.zeros((3, 3))
-        gradient[0, 2] = self.steady_strain / parts
         exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
-        state = exact.state(volume_fraction, self["Zc"])
+        states = np.array([exact.state(phi, self["Zc"]) for phi in np.ravel(volume_fraction)], STATE).view(np.recarray)
+        gradient = np.zeros((len(states), 3, 3))
+        gradient[:, 0, 2] = self.steady_strain / parts
         for _ in range(parts):
-            state = exact.update(state, gradient)
-        return state
+            states = exact.update(states, gradient)
+        return states if isinstance(volume_fraction, np.ndarray) else states[0]
 
     # ---- increments ------------------------------------------------------------------------------------------------
 
@@ -686,12 +689,18 @@ def _records(states: object) -> np.ndarray:
     return np.ascontiguousarray(states).reshape(states.shape)
 
 
-def _fitted(calibration: str, mu: float, closure: str, contact: str, friction: str, faults: list[str]) -> dict[str, float]:
-    """The constants of a calibration file that have a role."""
-    constants = [name for name in RANGES if name not in ("mu", "elastic_strain")]
-    fitted = attempt(faults, "", read_constants, calibration, mu, contact, constants) or {}
+def _calibrated(calibration: str, mu: float, closure: str, contact: str, friction: str,
+                faults: list[str]) -> tuple[str, int, dict[str, float]]:
+    """The name of a calibration, a file's in full; its number in the core; what it has in place of the printed constants."""
+    if is_calibration_file(calibration):
+        calibration = str(Path(calibration).absolute())
+    elif not isinstance(calibration, str) or calibration not in SHIPPED:
+        return calibration, choose("calibration", calibration, (*CALIBRATIONS, *SHIPPED), faults), {}
+    constants = [name for name in RANGES if name != "mu"]
+    filename = SHIPPED.get(calibration, calibration)
+    fitted = attempt(faults, "", read_constants, filename, mu, contact, closure, CLOSURES, constants) or {}
     unused = (*UNUSED.get(closure, ()), *(("b3",) if friction == "linear" else ()))
-    return {name: value for name, value in fitted.items() if name not in unused}
+    return calibration, 0, {name: value for name, value in fitted.items() if name not in unused}
 
 
 def _remake(given: dict[str, Any]) -> Material:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .choice import Report
-from .grains import QUANTITIES, Comparison
+from .grains import QUANTITIES, Calibration, Comparison
 from .history import History
 from .quantities import Quantity, read_values
 
@@ -61,6 +61,11 @@ def of_comparison(comparison: Comparison) -> dict[str, Any]:
     """A comparison with measured runs: "scores", the rows of scores.csv by column, NaN where nothing counts."""
     return {"scores": [{"run": run, "phase": phase, "model": model} | dict(zip(QUANTITIES, scores))
                        for run, phase, model, scores in comparison.rows()]}
+
+
+def of_calibration(calibration: Calibration) -> dict[str, Any]:
+    """A calibration: "sets", for each closure and mu its constants by name and the notes [[fitted]] of the file."""
+    return {"sets": [{"constants": one.constants, **one.note()} for one in calibration.sets]}
 
 
 def of_report(report: Report) -> dict[str, Any]:

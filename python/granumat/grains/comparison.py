@@ -63,11 +63,19 @@ class Comparison:
 
     def __str__(self) -> str:
         """The scores as a table in words."""
+        return self._in_words(self.rows())
+
+    def total(self) -> str:
+        """The scores over all runs as a table in words."""
+        rows = self.rows()
+        return self._in_words([row for row in rows if row[0] == rows[-1][0]])
+
+    def _in_words(self, rows: Iterable[tuple[str, str, str, np.ndarray]]) -> str:
         about = dict(zip([run.name for run in self.runs], map(self._about, range(len(self.runs)))))
         width = max(len(model) for model in (*self.predictions, SCATTER))
         lines: list[str] = []
         last_run = last_phase = ""
-        for run, phase, model, scores in self.rows():
+        for run, phase, model, scores in rows:
             if run != last_run:
                 lines += ["", *about.get(run, [f"{run}: root mean squares over the runs"]),
                           f"  {'':12}{'':{width}}" + "".join(f"{HEADINGS[name]:>8}" for name in QUANTITIES)]

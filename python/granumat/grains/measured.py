@@ -196,7 +196,7 @@ def read_runs(files: Iterable[str | Path], **keys: Any) -> list[Run]:
     groups: dict[Path, list[Path]] = {}
     for file in map(Path, files):
         match = ENDINGS.fullmatch(file.stem)
-        run = file.with_name(match[1]) if match else file.with_suffix("")
+        run = run_of(file)
         tables = [file]
         if match and not SEED.fullmatch(file.stem):
             tables = sorted(path for path in file.parent.glob(f"{match[1]}_s*{file.suffix}")
@@ -208,6 +208,17 @@ def read_runs(files: Iterable[str | Path], **keys: Any) -> list[Run]:
     runs = [_read_run(run, tables, keys, faults) for run, tables in groups.items()]
     refuse("the data cannot be read", faults)
     return [replace(run, name=name) for run, name in zip(runs, _short_names(list(groups))) if run]
+
+
+def run_of(table: Path) -> Path:
+    """The path of a table without what tells seeds apart."""
+    match = ENDINGS.fullmatch(table.stem)
+    return table.with_name(match[1]) if match else table.with_suffix("")
+
+
+def key_file(run: Path) -> Path:
+    """The file of keys beside the tables of a run, from their `run_of`."""
+    return run.with_name(run.name + ".toml")
 
 
 def _short_names(paths: Sequence[Path]) -> list[str]:
@@ -231,7 +242,7 @@ def _faults_of_keys(keys: Mapping[str, Any], allowed: Iterable[str]) -> list[str
 def _read_run(name: Path, tables: Sequence[Path], given: Mapping[str, Any], faults: list[str]) -> Run | None:
     """A run from the tables of its seeds and the file beside them; None, and its faults, if it has some."""
     known = len(faults)
-    beside = name.with_name(name.name + ".toml")
+    beside = key_file(name)
     said = attempt(faults, "", read_toml, beside) if beside.exists() else {}
     faults += [f"{beside}: {fault}" for fault in _faults_of_keys(said or {}, (*KEYS, *NOTED))]
     keys = {**(said or {}), **given}

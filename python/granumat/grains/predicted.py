@@ -32,7 +32,7 @@ class Prediction:
     message: str = ""
 
 
-def predict(run: Run, material: Material, tolerance: float = TOLERANCE) -> Prediction:
+def predict(run: Run, material: Material, tolerance: float = TOLERANCE, start: np.record | None = None) -> Prediction:
     """Drive the law along the path of a run.
 
     The shear strains are those of the rows. Where stresses are held, they go from row to row as in the run, in the first increment
@@ -45,6 +45,8 @@ def predict(run: Run, material: Material, tolerance: float = TOLERANCE) -> Predi
         Of the run's mu and contact.
     tolerance : float
         As in driver.run, where stresses are held.
+    start : record of dtype STATE, optional
+        The default is `first_state(run, material)`.
 
     Returns
     -------
@@ -56,20 +58,21 @@ def predict(run: Run, material: Material, tolerance: float = TOLERANCE) -> Predi
         The law cannot start at the run's first row.
     """
     states = np.zeros(len(run), STATE)
-    states[0] = start = first_state(run, material)
+    state: np.record | np.void = first_state(run, material) if start is None else start
+    states[0] = state
     reached, message = 1, ""
     for control, part in _parts(run):
         gradients = np.multiply.outer(np.diff(run.columns["gamma"])[part], SHEAR)
         step = Step(control, **controlled(control))
         values = np.column_stack([np.zeros((len(gradients), 0)), *(run.columns[name][1:][part] for name in CONTROLS[control][1])])
-        targets = np.vstack([step.functionals @ start["stress"], values])
-        found, _, status = material.follow(start, gradients, step.modes, step.functionals, targets, tolerance)
+        targets = np.vstack([step.functionals @ state["stress"], values])
+        found, _, status = material.follow(state, gradients, step.modes, step.functionals, targets, tolerance)
         states[reached:reached + len(found)] = found
         reached += len(found)
         if status:
             message = f"ends at gamma_total = {run.columns['gamma_total'][reached - 1]:.4g}: {status_message(status)}"
             break
-        start = states[reached - 1]
+        state = states[reached - 1]
     columns = columns_of(states)
     for column in columns.values():
         column[reached:] = np.nan
