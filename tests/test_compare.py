@@ -62,7 +62,7 @@ def assert_no_errors(found, unknown=(), tolerance=ROUND_OFF):
 def test_a_history_of_the_law_has_no_error_in_any_phase(tmp_path, control, unknown):
     steps = [driver.shear(0.5, control, 50), driver.shear(-1.2, control, 120)]
     assert_no_errors(scores([write(tmp_path / "run.csv", history(steps), control=control)]), unknown,
-                     ROUND_OFF if control == "volume" else driver.TOLERANCE)
+                     ROUND_OFF if control == "volume" else 2 * driver.TOLERANCE)         # that of the history, and that of the law
 
 
 def test_a_history_of_the_law_that_starts_in_its_first_row_has_no_error(tmp_path):
@@ -461,4 +461,5 @@ def test_every_shear_of_the_ensemble_can_be_compared(folder):
     files = [file for file in sorted(folder.glob("*_s*.csv")) if re.search(r"_s\d+$", file.stem) and is_sheared(file)]
     found = compare(files)
     assert sum(run.seeds for run in found.runs) == len(files) > 0
-    assert all(np.isfinite(of_run[0][~np.isnan(of_run[0])]).all() for of_run in found.scores("printed"))
+    for of_run, prediction in zip(found.scores("printed"), found.predictions["printed"]):
+        assert np.isfinite(of_run[0][~np.isnan(of_run[0])]).all() == (not prediction.message), prediction.message
