@@ -26,7 +26,7 @@ module granumat_umat
   integer, parameter :: P_STIFFNESS = 2         !! stress unit: k/d (Hookean), k_Hz (Hertzian)
   integer, parameter :: P_CLOSURE = 3           !! 0 critical, 1 basic, 2 n2, 3 full, 4 kinematic, 5 mobilised, 6 mobilised-pressure
   integer, parameter :: P_CONTACT = 4           !! 0 Hookean, 1 Hertzian
-  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress, or in closures 5, 6 friction, adapts; 0: the paper
+  integer, parameter :: P_ELASTIC_STRAIN = 5    !! e_r, strain over which the stress, in closures 5, 6 friction, adapts; 0: paper
   integer, parameter :: P_PHI = 6               !! initial volume fraction
   integer, parameter :: P_PRESSURE = 7          !! initial mean pressure; 0: from STRESS where it is not 0, else from phi
   integer, parameter :: P_SPIN = 8              !! 0 none, 1 DROT, 2 DFGRD; 3 as 2, STRESS unrotated; 4 as 3, DDSDDE for CalculiX

@@ -46,8 +46,9 @@ contains
     real(dp), intent(in) :: A(LANES, 5), excess(LANES)        ! excess = Z2 - Zc
     real(dp) :: evolving(LANES)
     evolving = excess
-    if (pressure_evolves(par)) &
+    if (pressure_evolves(par)) then
       evolving = excess * abs(excess) / 2 * (par%a1 + par%a2 * magnitude(A)) / (par%a1 + par%a2 * par%kappa)
+    end if
   end function to_evolving
 
   !> Z2 - Zc: the inverse of to_evolving.

@@ -267,7 +267,8 @@ def test_newton_converges_quadratically_where_friction_turns(closure):
     conditions = [fem.Displacement(lambda x: np.isclose(x[1], 0)),
                   fem.Displacement(lambda x: np.isclose(x[1], 1), lambda x, t: [0.02 * min(t, 6 - t), 0]),
                   fem.Pressure(lambda x: np.isclose(x[0] * (1 - x[0]), 0), 0.01)]
-    body = fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1.0, 1.0), (4, 4)), material, material.isotropic(0.6, pressure=0.01), conditions)
+    square = fem.meshes.box(MPI.COMM_WORLD, (1.0, 1.0), (4, 4))
+    body = fem.Problem(square, material, material.isotropic(0.6, pressure=0.01), conditions)
     histories = []
     fem.run(body, 6, 1.0, events=[3], observers=[lambda body: histories.append(body.last.residuals if body.last else [])])
     pairs = [pair for history in histories for pair in zip(history[1:], history[2:]) if 1e-6 < pair[0] < 0.02]
