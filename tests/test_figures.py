@@ -71,7 +71,7 @@ def test_a_calibration_is_drawn_beside_the_printed_one_where_it_has_constants(tm
     printed, other = curves(figures.FIGURES["1"](), 0)
     assert other[1][0] == pytest.approx(-Material(0.5, calibration=str(file)).steady(0.6)["stress"][:3].mean())
     assert other[1][0] > 1.2 * printed[1][0]
-    (mu, Zc), (other_mu, other_Zc) = curves(figures.FIGURES["5"](), 0)
+    (mu, _), (other_mu, other_Zc) = curves(figures.FIGURES["5"](), 0)
     assert (mu[0], mu[-1]) == (0, 1) and (other_mu[0], other_mu[-1]) == (0.1, 0.5) and set(other_Zc) == {4.5}
     assert len(curves(figures.FIGURES["9"](), 0)) == 8            # five mu printed, three of them in the other
 

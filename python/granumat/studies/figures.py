@@ -289,17 +289,16 @@ def _stress_figure(number: int, title: str, notes: Sequence[str], closure: str, 
     figure, panels = _sheet(number, title, notes, names, len(plots))
     for panel, (_, mus) in zip(panels, plots):
         for axis, colour in zip(STRESSES[panel.y], (BLUE, RED, GREEN)):
-            name, label = f"sigma_{axis}/p", rf"$\bar\sigma_{{{axis}}}$" if axis == "13" else rf"$\sigma_{{{axis}}}$"
+            name = f"sigma_{axis}/p"
             for mu, width, filled in zip(mus, (1.5, 0.7), ("none", colour)):
                 for law, material in _materials(mu, closure=closure):
-                    panel.draw(_steady(material), name, color=colour, linestyle=law.line, linewidth=width, label=label)
-                    label = None
+                    panel.draw(_steady(material), name, color=colour, linestyle=law.line, linewidth=width)
                 panel.points(_steady_dem(mu), colour, name, markerfacecolor=filled)
             for law, material in [] if mus else _materials(0.5, closure=closure):
-                panel.draw(_reversal(material, material.steady(0.60)), name, color=colour, linestyle=law.line, label=label)
-                label = None
+                panel.draw(_reversal(material, material.steady(0.60)), name, color=colour, linestyle=law.line)
             for run in [] if mus else _dem_reversal():
                 panel.draw(run.columns, name, color=colour, **DOTS)
+            panel.axes.plot([], color=colour, label=r"$\bar\sigma_{13}$" if axis == "13" else rf"$\sigma_{{{axis}}}$")
         panel.axes.set_ylim(None if panel.y == "shear" else (0.85, 1.15))
         panel.legend("center" if panel.y == "shear" else "upper center", ncol=3)
     return figure
