@@ -111,7 +111,7 @@ def _steady(material: Material, distances: Sequence[float] = DISTANCES) -> Colum
 
 
 def steady_at(material: Material, pressure: float) -> np.record:
-    """The state of steady simple shear at a pressure, for Hookean contacts: sqrt(p) is linear in (phi - phic)^beta2 (4.2), (4.9)."""
+    """The state of steady simple shear at a pressure of Hookean contacts: sqrt(p) is linear in (phi - phic)^beta2 (4.2), (4.9)."""
     known = np.array([0.1, 0.2])
     roots = [np.sqrt(-material.steady(phi)["stress"][:3].mean()) for phi in material["phic"] + known ** (1 / material["beta2"])]
     found = np.polyval(np.polyfit(roots, known, 1), np.sqrt(pressure))
@@ -316,8 +316,8 @@ def figure_01() -> Figure:
     histories = [(law, _history(material, material.steady(0.60), *steps)) for law, material in _materials(0.5)]
     before, pause, after = _run("steady", turn=2, first=2), _run("pause", at=1), _run("reversal", at=2)
     pause = [run.having(time=1 + PAUSED * np.arange(len(run.columns["step"]))) for run in pause]
-    notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear; the DEM rests for 0.06",
-             _said(before, after),
+    notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear",
+             _said(before, after) + "; it rests for 0.06",
              "the model's stress follows from its state at once: its stress ratio jumps at the reversal")
     return _evolution(1, "unsteady simple shear at constant volume", notes, "p", histories, before + pause + after, "time")
 
@@ -341,7 +341,7 @@ def figure_03() -> Figure:
     """Pressure against coordination number, steady and unsteady."""
     reversals = {phi: _run("reversal", phi=phi) for phi in (0.592, 0.600, 0.610, 0.620)}
     pressure = _run("pressure-reversal", turn=1)
-    notes = (r"$\mu$ = 0.5, closure full; reversals at constant volume from the steady states at $\phi$ = 0.592, 0.600, 0.610, 0.620",
+    notes = (r"$\mu$ = 0.5, closure full; reversals at constant volume from steady shear at $\phi$ = 0.592, 0.600, 0.610, 0.620",
              r"and at constant pressure from $\phi$ = 0.600; thick lines: the model's steady shear, thin ones: its reversals",
              _said(*reversals.values(), pressure).partition(";")[0] + "; liquefied grains, whose Z2 falls to 0, are left out")
     figure, [panel] = _sheet(3, "pressure against coordination number", notes, [("Z2", "p")], 1, law_colours=True)
@@ -363,8 +363,8 @@ def figure_03() -> Figure:
 def figure_04() -> Figure:
     """Pressure against coordination number, isotropic and in steady shear."""
     loosest = {mu: min(phi for other, phi in compressions(mu)) for mu in dict.fromkeys(mu for mu, _ in compressions())}
-    notes = ("closure full; (a) filled, upper lines, (c), (d): steady simple shear; (a) open, lower lines, (b): isotropic compression,",
-             r"DEM from the loosest frictionless start, $\phi_i$ = 0.3; colours as in (c)", STEADY_POINTS)
+    notes = ("closure full; (c), (d), in (a) upper lines and filled: steady simple shear; (b), in (a) lower lines and open: isotropic",
+             r"compression, of the DEM from the loosest frictionless start, $\phi_i$ = 0.3; colours as in (c)", STEADY_POINTS)
     figure, panels = _sheet(4, "pressure against coordination number", notes, [("Z2", "p")] * 3 + [("(Z2-Zc)^2", "p")])
     inset = panels[1].inset((0.15, 0.62, 0.22, 0.34), "$a_1$", (0, 0.015))
     for mu, colour in MU_COLOURS.items():
@@ -491,7 +491,8 @@ def figure_11() -> Figure:
     materials = _materials(0.5)
     histories = [(law, _history(material, material.isotropic(float(phi), pressure=p), driver.shear(4, "pressure", 800)))
                  for law, material in materials]
-    notes = (rf"$\mu$ = 0.5, closure full, constant pressure $p\,d/k$ = {p:.4f}, isotropic start at $\phi$ = {phi:.4f}", _said(runs))
+    notes = (rf"$\mu$ = 0.5, closure full, constant pressure $p\,d/k$ = {p:.4f}, isotropic start at $\phi$ = {phi:.4f}",
+             _said(runs))
     figure = _evolution(11, "Reynolds dilatancy", notes, "phi", histories, runs)
     axes = figure.axes[0]
     for law, material in materials:
@@ -533,8 +534,9 @@ def figure_13() -> Figure:
 
 def figure_14() -> Figure:
     """Normal stresses without their first difference."""
-    notes = (r"closure n2; $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, thick lines and open points: $\mu$ = 0.5, "
-             r"thin lines and filled points: $\mu$ = 0.1", "(b) " + REVERSAL + "; " + _said(_dem_reversal()).partition(";")[0])
+    notes = (r"closure n2; $\bar\sigma_{13}=(\sigma_{xx}+\sigma_{zz})/2$; (a) steady shear, thick lines and open points: "
+             r"$\mu$ = 0.5, thin lines and filled points: $\mu$ = 0.1",
+             "(b) " + REVERSAL + "; " + _said(_dem_reversal()).partition(";")[0])
     return _stress_figure(14, "normal stresses without their first difference", notes, "n2",
                           ("normal, two", [0.5, 0.1]), ("normal, two", []))
 
@@ -550,7 +552,8 @@ def figure_15() -> Figure:
 def figure_16() -> Figure:
     """Constants of the normal stress differences."""
     notes = (r"$a_4$ is printed in three forms, each a calibration of its own; table-1 is the default",)
-    figure, (third, fourth) = _sheet(16, "constants of the normal stress differences", notes, [("mu", "a3"), ("mu", "a4")], dem=None)
+    names = [("mu", "a3"), ("mu", "a4")]
+    figure, (third, fourth) = _sheet(16, "constants of the normal stress differences", notes, names, dem=None)
     for law in _laws():
         third.draw(law.constants(), color=GREY, linestyle=law.line)
     for calibration, colour in zip(dict.fromkeys((*CALIBRATIONS, *SHOWN)), (GREY, RED, BLUE, GREEN)):
