@@ -363,8 +363,8 @@ def figure_03() -> Figure:
 def figure_04() -> Figure:
     """Pressure against coordination number, isotropic and in steady shear."""
     loosest = {mu: min(phi for other, phi in compressions(mu)) for mu in dict.fromkeys(mu for mu, _ in compressions())}
-    notes = ("closure full; steady simple shear: (c), (d), in (a) upper lines and filled points; isotropic compression: (b), in (a)",
-             r"lower lines and open points, of the DEM from the loosest frictionless start, $\phi_i$ = 0.3; colours as in (c)", STEADY_POINTS)
+    notes = ("closure full; steady shear: (c), (d), in (a) upper lines and filled points; isotropic compression: (b), in (a)",
+             r"lower lines and open points, of the DEM from the loosest start, $\phi_i$ = 0.3; colours as in (c)", STEADY_POINTS)
     figure, panels = _sheet(4, "pressure against coordination number", notes, [("Z2", "p")] * 3 + [("(Z2-Zc)^2", "p")])
     inset = panels[1].inset((0.15, 0.62, 0.22, 0.34), "$a_1$", (0, 0.015))
     for mu, colour in MU_COLOURS.items():
