@@ -217,3 +217,23 @@ def test_jamming_recovers_a_known_compression():
     p = np.geomspace(1e-5, 0.03, 9)
     columns = {"p": p, "Z2": 4.3 + np.sqrt(p / 0.0073), "phi": 0.58 + 0.5 * p}
     assert figures.jamming(columns) == pytest.approx((0.0073, 4.3, 0.58))
+
+
+def magnitude(columns):
+    """abs(A) of columns of fabric."""
+    return np.sqrt(sum(columns[f"A_{axis}"] ** 2 for axis in ("xx", "yy", "zz")) / 2
+                   + sum(columns[f"A_{axis}"] ** 2 for axis in ("xy", "xz", "yz")))
+
+
+@pytest.mark.parametrize("name, phi", [("reversal", 0.60), ("reversal", 0.61), ("reversal", 0.62), ("pressure-reversal", 0.60)])
+def test_figure_3_dem_pressure_is_that_of_4_2_with_the_printed_constants(name, phi):
+    columns, c = ensemble.programme(name, 0.5, phi).columns, constants(0.5)
+    p = (c["a1"] + c["a2"] * magnitude(columns)) * (columns["Z2"] - c["Zc"]) ** 2
+    rows = columns["p"] > 0.2 * columns["p"][0]
+    assert np.sqrt(np.mean((p / columns["p"] - 1)[rows] ** 2)) < 0.1
+
+
+def test_figure_9_dem_has_more_contacts_than_the_printed_law_at_mu_0_5():
+    columns, c = ensemble.steady(0.5).columns, constants(0.5)
+    excess = columns["Z2"] - c["Zc"] - 7.5 * np.sqrt(columns["phi"] - c["phic"])
+    assert len(set(columns["phi"])) > 3 and (excess > 0.1).all() and (excess < 0.35).all()

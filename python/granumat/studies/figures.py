@@ -353,7 +353,7 @@ def figure_03() -> Figure:
         for run in runs:
             panel.draw(run.columns, color=colour, label=rf"DEM, reversal at $\phi$ = {phi:.3f}", **DOTS)
     for run in pressure:
-        panel.draw(run.columns, color=RED, label="DEM, reversal at constant pressure", **DOTS | {"marker": "s"})
+        panel.draw(run.columns, color=GREY, label="DEM, reversal at constant pressure", **DOTS | {"marker": "s"})
     panel.points(_steady_dem(0.5), GREY, label="DEM, steady shear", markerfacecolor=GREY)
     panel.axes.set_xlim(4.3, 6.1)
     panel.legend("upper left")
@@ -498,7 +498,7 @@ def figure_11() -> Figure:
     for law, material in materials:
         level = float(steady_at(material, p)["volume_fraction"])
         axes.axhline(level, color=law.colour, linewidth=0.9, linestyle=":")
-        axes.text(4, level, f"steady: {level:.4f}", fontsize=7.5, ha="right", va="bottom", color=law.colour)
+        axes.text(0, level, f"steady: {level:.4f}", fontsize=7.5, va="bottom", color=law.colour)
     return figure
 
 
