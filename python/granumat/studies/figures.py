@@ -59,6 +59,10 @@ class Law(NamedTuple):
         """What the legend says."""
         return "model, printed constants" if self.calibration == "table-1" else f"model, {self.calibration}"
 
+    def once(self, label: str) -> str | None:
+        """A label for what all laws have: that of the first one."""
+        return label if self.calibration == SHOWN[0] else None
+
     def material(self, mu: float, **definition: Any) -> Material | None:
         """The material; None where the calibration has no constants for a friction coefficient or contact."""
         with suppress(ValueError):
@@ -277,8 +281,7 @@ def _steady_by_friction(panels: Sequence[Panel]) -> None:
     for mu, colour in MU_COLOURS.items():
         for panel in panels:
             for law, material in _materials(mu):
-                label = rf"$\mu$ = {mu:g}" if law == _laws()[0] else None
-                panel.draw(_steady(material), color=colour, linestyle=law.line, label=label)
+                panel.draw(_steady(material), color=colour, linestyle=law.line, label=law.once(rf"$\mu$ = {mu:g}"))
             panel.points(_steady_dem(mu), colour)
             panel.legend("upper left")
 
@@ -429,7 +432,7 @@ def figure_07() -> Figure:
     figure, [panel] = _sheet(7, "stress ratio against fabric", notes, [("A_xz", "stress_ratio")], 1, law_colours=True, dem=BLUE)
     for run in runs:
         panel.measured(run)
-    linear = [(material, law.colour, law.line, "linear (4.5)") for law, material in _materials(0.5)]
+    linear = [(material, law.colour, law.line, law.once("linear (4.5)")) for law, material in _materials(0.5)]
     for material, colour, line, label in [*linear, (Material(0.5, friction="quadratic", **fit), GREY, ":", "quadratic (4.6)")]:
         steps = driver.shear(-2, increments=2000), driver.shear(2, increments=2000)
         panel.draw(_history(material, material.steady(0.60), *steps), color=colour, linestyle=line, label=label)
@@ -444,13 +447,13 @@ def figure_08() -> Figure:
     for law in _laws():
         c = law.constants()
         c["eta"] = np.array([_steady(material, [0.1])["eta"][0] for mu in c["mu"].tolist() if (material := law.material(mu))])
-        friction.draw(c, color=GREY, linestyle=law.line, label="steady shear")
+        friction.draw(c, color=GREY, linestyle=law.line, label=law.once("steady shear"))
         if law.calibration == "table-1":
             c |= {"b1 + b2 chi": c["b1"] + c["b2"] * c["chi"], "printed": 0.41 - 0.3 * np.exp(-6 * c["mu"])}
             friction.draw(c, "b1 + b2 chi", color=RED, linestyle="--", label=r"$b_1+b_2\chi$ (A 12), which neglects the spin")
             friction.draw(c, "printed", color=BLUE, linestyle=":", linewidth=2, label=r"printed fit $0.41-0.3\,e^{-6\mu}$")
         for name, colour in (("b1", BLUE), ("b2", RED)):
-            constants.draw(c, name, color=colour, linestyle=law.line, label=f"$b_{name[1]}$")
+            constants.draw(c, name, color=colour, linestyle=law.line, label=law.once(f"$b_{name[1]}$"))
     friction.points(_steady_dem(), y="stress_ratio")
     friction.legend("lower right")
     constants.legend("center right")
