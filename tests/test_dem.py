@@ -23,6 +23,7 @@ DEM, COLLECTED = ROOT / "demos" / "dem", ROOT / "demos" / "data" / "ensemble"
 sys.path.insert(0, str(DEM))
 import collect  # noqa: E402
 import ensemble  # noqa: E402
+import normal_stresses  # noqa: E402
 import shear_run as run  # noqa: E402
 
 sys.path.remove(str(DEM))
@@ -182,6 +183,23 @@ def test_means_and_scatter_are_those_of_all_collected_seeds(record):
 def test_steady_shear_of_the_ensemble_is_slow():
     steady = collect.read(COLLECTED / "steady.csv")
     assert (steady["I"][steady["rate"] == SETTINGS["rate"]] < 1e-3).all()
+
+
+def test_normal_stress_differences_do_not_vanish_in_slow_shear():
+    steady = collect.read(COLLECTED / "steady.csv")
+    assert steady["I"].min() < 4e-4 and steady["I"].max() > 0.01
+    for name, least in (("N2/p", 0.14), ("N1/p", -0.06)):
+        slope, error, value = normal_stresses.trend(steady, name, 0.5, 0.6)
+        assert abs(slope) < 2.5 * error < 0.04 and least < value < least + 0.04, name
+    slope, error, value = normal_stresses.trend({**steady, "N2/p": 0.1 * steady["I"] ** 0.3}, "N2/p", 0.5, 0.6)
+    assert slope > 4 * error and value == pytest.approx(0.1 * 1e-3**0.3, rel=0.1)          # what vanishes is told from it
+
+
+def test_the_picture_of_normal_stresses_has_every_row():
+    steady = collect.read(COLLECTED / "steady.csv")
+    axes, = normal_stresses.draw(steady).axes
+    drawn = np.concatenate([line.get_ydata() for line in axes.lines if len(line.get_xdata()) and line.get_linestyle() == "None"])
+    assert sorted(drawn) == pytest.approx(sorted([*steady["N1/p"], *steady["N2/p"]]))
 
 
 # ---- with LAMMPS -----------------------------------------------------------------------------------------------------------

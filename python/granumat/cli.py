@@ -127,7 +127,7 @@ def _parser() -> argparse.ArgumentParser:
     example = command("example", run_example, "print a path or scene file to start from; without a name, list them")
     example.add_argument("name", nargs="?", help="of the example")
     example.set_defaults(completes=examples.example_files())
-    command("figures", run_figures, "draw the model's curves of the paper's figures").add_argument(
+    command("figures", run_figures, "draw the paper's figures: the model and discrete-element runs").add_argument(
         "names", nargs="*", help="numbers of figures, such as 1 10; all if none is given")
     chart = command("chart", run_chart, "measure and draw speed against accuracy of the update and its alternatives")
     chart.add_argument("names", nargs="*", metavar="CASE", help=f"from {', '.join(CASES)}; all if none is given")
