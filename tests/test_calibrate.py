@@ -259,7 +259,7 @@ def table(runs, tmp_path):
 
 def test_the_command_writes_a_file_that_compare_takes(table, tmp_path, capsys):
     out = tmp_path / "sand.toml"
-    assert main(["calibrate", str(table), "--mu", "0.5", "--fit", "phic", "fabric", "--out", str(out)]) == 0
+    assert main(["calibrate", str(table), "--mu", "0.5", "--fit", "phic,fabric", "--out", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "mu 0.5, closure full, 1 run\n" in printed and "held at their start" in printed and f"wrote {out}" in printed
     (tmp_path / "fitted.toml").write_text(f'[material]\ncalibration = "{out.name}"\n')
@@ -277,7 +277,7 @@ def test_ctrl_c_leaves_the_constants_so_far_and_the_old_file(table, tmp_path, ca
     monkeypatch.setattr(calibration, "predict", predict_some)
     out = tmp_path / "sand.toml"
     out.write_text("old")
-    arguments = ["calibrate", str(table), "--mu", "0.5", "--fit", "phic", "fabric", "--out", str(out)]
+    arguments = ["calibrate", str(table), "--mu", "0.5", "--fit", "phic,fabric", "--out", str(out)]
     assert main(arguments) == 1
     assert "SIGINT has ended the calibration" in capsys.readouterr().err and out.read_text() == "old"
     partial = Material(0.5, calibration=str(tmp_path / "sand.partial.toml"))

@@ -116,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
     calibrate.add_argument("data", type=Path, nargs="+", metavar="DATA", help="tables of the histories, as for compare")
     calibrate.add_argument("--out", type=Path, required=True, metavar="NAME.toml",
                            help='the calibration file, for calibration = "NAME.toml"; an old one is replaced')
-    calibrate.add_argument("--fit", nargs="+", default=[ALL], metavar="NAME",
+    calibrate.add_argument("--fit", default=ALL, metavar="NAME,NAME...",
                            help=f"constants to be fitted, or groups of them: {', '.join((ALL, *GROUPS))}; the default is {ALL}")
     calibrate.add_argument("--closure", action="append", metavar="NAME",
                            help="that is fitted, full if none is given; several times for several, each by itself")
@@ -268,7 +268,7 @@ def run_calibrate(options: argparse.Namespace) -> dict[str, Any]:
     if options.out.absolute() in [key_file(run_of(table)).absolute() for table in options.data]:
         raise ValueError(f"--out {options.out}: is the name of the file that says what the data beside it are; give another one")
     keys = {name: getattr(options, name) for name in KEYS if getattr(options, name) is not None}
-    found = grains.calibrate(options.data, options.fit, options.closure or ["full"], options.calibration, sys.stderr, **keys)
+    found = grains.calibrate(options.data, options.fit.split(","), options.closure or ["full"], options.calibration, sys.stderr, **keys)
     written = options.out.with_suffix(".partial.toml") if found.interrupted else options.out
     found.write(written)
     if found.interrupted:

@@ -19,7 +19,7 @@ from ..progress import Progress
 from ..signals import noted_signals
 from ..steps import SHEAR
 from ..toml import write_content
-from .comparison import Comparison
+from .comparison import SCATTER, Comparison
 from .fitting import FIRST_WEIGHT, Constants, Fit, Sample, fit, search
 from .measured import FABRIC, Run, read_runs
 from .predicted import Prediction, columns_of, predict
@@ -83,6 +83,7 @@ class FittedSet:
         Joint changes of constants that the data do not see.
     comparison : Comparison or None
         Scores of the start, of the fit, and of fits without the run, without its phi, without its programme; None if interrupted.
+        The start is without an elastic strain where its calibration has none.
     """
 
     mu: float
@@ -124,7 +125,7 @@ class FittedSet:
                 "deviations": {name: _rounded(value, 2) for name, value in self.deviations.items() if np.isfinite(value)},
                 "held": list(self.held), "on_bounds": list(self.on_bounds), "unseen": self.unseen_in_words()}
         if self.comparison is not None:
-            for model in self.comparison.predictions:
+            for model in (*self.comparison.predictions, SCATTER):
                 scores = root_mean_square(self.comparison.scores(model))
                 said[f"scores {model}"] = {
                     phase: {name: _rounded(score, 3) for name, score in zip(QUANTITIES, of_phase) if np.isfinite(score)}
@@ -231,7 +232,7 @@ def calibrate(runs: Iterable[Run | str | Path], fit: Sequence[str] = (ALL,), clo
         faults.append(f"runs have {' and '.join(contacts)} contacts: give those of one kind")
     names = {closure: _names(fit, closure, faults) for closure in closures if closure in CLOSURES}
     mus = sorted({run.mu for run in found})
-    starts = {(closure, mu): attempt(faults, "", _start, mu, closure, contacts[0], calibration, names[closure])
+    starts = {(closure, mu): attempt(faults, "", _start, mu, closure, contacts[0], calibration)
               for closure in names for mu in mus if contacts}
     refuse("the law cannot be calibrated", list(dict.fromkeys(faults)))
     show = Progress(progress)
@@ -268,17 +269,14 @@ def _names(fit: Sequence[str], closure: str, faults: list[str]) -> list[str]:
     return [name for name in RANGES if name in names]
 
 
-def _start(mu: float, closure: str, contact: str, calibration: str, names: Sequence[str]) -> Material:
+def _start(mu: float, closure: str, contact: str, calibration: str) -> Material:
     """The material in which a fit starts, with all of its constants given: no file is read again."""
     definition: dict[str, Any] = {"mu": mu, "closure": closure, "contact": contact}
     try:
         material = Material(**definition, calibration=calibration)
     except ValueError:                                           # a calibration without elastic_strain, for mobilised
         material = Material(**definition, calibration=calibration, elastic_strain=START_OF_ELASTIC_STRAIN)
-    constants: dict[str, Any] = {name: material[name] for name in RANGES if name not in _unused(closure)}
-    if "elastic_strain" in names and not material["elastic_strain"]:
-        constants["elastic_strain"] = START_OF_ELASTIC_STRAIN
-    return Material(**definition, **constants)
+    return Material(**(definition | {name: material[name] for name in RANGES if name not in _unused(closure)}))
 
 
 def _unused(closure: str) -> set[str]:
@@ -298,13 +296,16 @@ class _Search:
     def __init__(self, runs: Sequence[Run], closure: str, start: Material, names: Sequence[str], tell: Callable[[str, float], None],
                  stop: Callable[[], str]) -> None:
         self.runs, self.start = runs, start
+        self.first = start                                       # of the search
+        if "elastic_strain" in names and not start["elastic_strain"]:
+            self.first = Material(**(start.definition | {"elastic_strain": START_OF_ELASTIC_STRAIN}))
         self.sums = Sums([Yardstick.of(run) for run in runs])
         columns = {name for run in runs for name in run.columns}
         held = {name for missing, constants in HELD_WITHOUT.items() if not columns.intersection(missing) for name in constants}
         self.held = [name for name in names if name in held]
         fitted = tuple(name for name in names if name not in held)
         lower, upper, sizes = np.array([RANGES_OF_FITS[name] for name in fitted]).reshape(-1, 3).T
-        first = np.array([start[name] for name in fitted])
+        first = np.array([self.first[name] for name in fitted])
         self.constants = Constants(fitted, first, np.minimum(lower, first), np.maximum(upper, first), sizes)
         self.y = np.zeros(len(fitted))                           # the best so far
         self._tell, self._stop = tell, stop
@@ -341,7 +342,7 @@ class _Search:
     def _material(self, y: np.ndarray) -> Material | None:
         """The law with constants y (n,); None if there is none."""
         try:
-            return Material(**(self.start.definition | self.constants.values(y)))
+            return Material(**(self.first.definition | self.constants.values(y)))
         except ValueError:
             return None
 
@@ -375,7 +376,7 @@ class _Search:
 
     def _search_part(self, names: Sequence[str], errors: Callable[[Material], np.ndarray]) -> None:
         """Fit the constants of some names to errors (m,) of the law for measured states, if there are any."""
-        which, size = self.constants.among(names), len(errors(self.start))
+        which, size = self.constants.among(names), len(errors(self.first))
         if not which.any() or not size:
             return
 
