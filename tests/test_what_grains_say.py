@@ -58,7 +58,7 @@ def test_four_small_cycles_lose_little_pressure(state, kept):
         assert p[-1] / p[0] == pytest.approx(share, abs=0.01)
 
 
-@pytest.mark.parametrize("mu, found, table_1", [(0.1, 1.04, 0.27), (0.3, 1.20, 0.51), (0.5, 1.02, 0.67)])
+@pytest.mark.parametrize("mu, found, table_1", [(0.1, 0.97, 0.27), (0.3, 1.33, 0.51), (0.5, 1.02, 0.67)])
 def test_a4_is_nearer_to_kinematic_than_table_1_is(mu, found, table_1):
     shares = []
     for run, counts in reversals(mu):
@@ -68,7 +68,8 @@ def test_a4_is_nearer_to_kinematic_than_table_1_is(mu, found, table_1):
     law = Material(mu)
     assert -law["a4"] / (2 * law["b2"]) == pytest.approx(table_1, abs=0.01)
     assert np.mean(shares) == pytest.approx(found, abs=0.15)
-    assert abs(np.mean(shares) - 1) < 0.6 * abs(table_1 - 1)
+    error = np.std(shares, ddof=1) / np.sqrt(len(shares))
+    assert abs(np.mean(shares) - 1) < 2 * error and abs(np.mean(shares) - table_1) > 3 * error
 
 
 @pytest.mark.parametrize("mu, line, parabola", [(0.1, 0.008, 0.007), (0.3, 0.010, 0.009), (0.5, 0.017, 0.012)])
