@@ -20,7 +20,7 @@ from ..material import CALIBRATIONS, Material
 from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 from .ensemble import Columns, Measured, compressions, programme, steady
 
-SHOWN = ["table-1"]         # calibrations that are drawn beside the DEM
+SHOWN = ["table-1", "dem-2026"]        # calibrations that are drawn beside the DEM
 LAW_STYLES = ((RED, "-"), (GREEN, "--"), (PURPLE, ":"))             # colour where the figure has no colours of its own, and line
 MU_COLOURS = {0.0: PURPLE, 0.1: GREEN, 0.3: ORANGE, 0.5: BLUE, 1.0: RED}
 PHI_COLOURS = (PURPLE, BLUE, GREEN, ORANGE, RED, GREY)
@@ -466,7 +466,7 @@ def figure_09() -> Figure:
              STEADY_POINTS, r"$Z_c$ and $\phi_c$ of the DEM points in (b) and in the inset are the fits of table 1")
     figure, panels = _sheet(9, "coordination number of steady simple shear", notes, [("phi", "Z2"), ("(phi-phic)^1/2", "Z2-Zc")])
     _steady_by_friction(panels)
-    inset = panels[0].inset((0.72, 0.17, 0.26, 0.30), r"$\beta_1$", (6, 11))
+    inset = panels[0].inset((0.72, 0.17, 0.26, 0.30), r"$\beta_1$", (6, 16))
     for law in _laws():
         inset.plot(law.constants()["mu"], law.constants()["beta1"], color=GREY, linestyle=law.line)
     for mu, colour in MU_COLOURS.items():
