@@ -432,7 +432,7 @@ class Material:
         gradient[:, 0, 2] = self.steady_strain / parts
         for _ in range(parts):
             states = exact.update(states, gradient)
-        return states.reshape(volume_fraction.shape) if isinstance(volume_fraction, np.ndarray) else states[0]
+        return states.reshape(np.shape(volume_fraction)).view(np.recarray) if np.ndim(volume_fraction) else states[0]
 
     # ---- increments ------------------------------------------------------------------------------------------------
 
