@@ -131,3 +131,12 @@ def test_without_c3_the_fabric_is_the_solution_of_a_linear_equation():
     share = (np.exp(c2 * 0.1) - np.exp(-d2 * 0.1)) / (c2 + d2)
     Z2 = f + (5.3 - f) * np.exp(-d2 * 0.1) + d1 * (0.06 - material["chi"]) * share
     assert state.coordination_number == pytest.approx(Z2, rel=1e-13)
+
+
+@pytest.mark.parametrize("closure", ["full", "mobilised"])
+def test_the_steady_states_of_several_volume_fractions_are_those_of_each(closure):
+    material = Material(0.5, closure, elastic_strain=0.01)
+    phi = np.array([[0.58, 0.60, 0.61], [0.62, 0.63, 0.64]])
+    found = material.steady(phi)
+    assert found.shape == phi.shape
+    assert all(np.array_equal(found[place], material.steady(float(phi[place]))) for place in np.ndindex(phi.shape))

@@ -266,9 +266,10 @@ def run_calibrate(options: argparse.Namespace) -> dict[str, Any]:
     if not is_calibration_file(options.out.name) or not options.out.absolute().parent.is_dir():
         raise ValueError(f"--out {options.out}: must be a file that ends in .toml, in a directory that is there")
     if options.out.absolute() in [key_file(run_of(table)).absolute() for table in options.data]:
-        raise ValueError(f"--out {options.out}: is the name of the file that says what the data beside it are; give another one")
+        raise ValueError(f"--out {options.out}: is the file that says what the data beside it are; give another name")
     keys = {name: getattr(options, name) for name in KEYS if getattr(options, name) is not None}
-    found = grains.calibrate(options.data, options.fit.split(","), options.closure or ["full"], options.calibration, sys.stderr, **keys)
+    names, closures = options.fit.split(","), options.closure or ["full"]
+    found = grains.calibrate(options.data, names, closures, options.calibration, sys.stderr, **keys)
     written = options.out.with_suffix(".partial.toml") if found.interrupted else options.out
     found.write(written)
     if found.interrupted:

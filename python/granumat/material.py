@@ -416,12 +416,12 @@ class Material:
 
         Parameters
         ----------
-        volume_fraction : float or array (n,)
+        volume_fraction : float or array (...)
             phi, in (0, 1); several take hardly longer than one.
 
         Returns
         -------
-        record or record array (n,) of dtype STATE
+        record or record array (...) of dtype STATE
         """
         parts = 1
         if self.closure in TURNING:
@@ -432,7 +432,7 @@ class Material:
         gradient[:, 0, 2] = self.steady_strain / parts
         for _ in range(parts):
             states = exact.update(states, gradient)
-        return states if isinstance(volume_fraction, np.ndarray) else states[0]
+        return states.reshape(np.shape(volume_fraction)).view(np.recarray) if np.ndim(volume_fraction) else states[0]
 
     # ---- increments ------------------------------------------------------------------------------------------------
 
