@@ -177,7 +177,7 @@ def test_means_and_scatter_are_those_of_all_collected_seeds(record):
     assert [file.exists() for file in files] == [len(seeds) > 1] * 2
     for columns, file in zip(collect.over_seeds(seeds) if len(seeds) > 1 else (), files):
         for column, values in collect.read(file).items():
-            assert values == pytest.approx(columns[column], rel=2e-5, abs=1e-8), column
+            assert values == pytest.approx(columns[column], rel=5.1e-5, abs=1e-8), column        # five digits
 
 
 def test_steady_shear_of_the_ensemble_is_slow():

@@ -170,7 +170,7 @@ def test_dem_runs_have_the_steady_state_that_was_measured():
     steady = ensemble.steady(0.5)
     assert (steady.columns["I"] < 1e-3).all() and len(ensemble.steady(0.5, slow=1).columns["I"]) > len(steady.columns["I"])
     row = steady.rows((steady.columns["phi"] == 0.6) & (steady.columns["rate"] == 6e-5))
-    assert row.columns["p"] == pytest.approx(0.0102, abs=0.0005)
+    assert row.columns["p"] == pytest.approx(0.0102, abs=0.001)              # of two older packings; p scatters by a tenth
     assert row.columns["stress_ratio"] == pytest.approx(0.385, abs=0.015)
     assert row.columns["A_xz"] == pytest.approx(-0.044, abs=0.002)
     assert set(ensemble.steady().columns["mu"]) >= {0.1, 0.3, 0.5}
