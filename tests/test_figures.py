@@ -239,3 +239,17 @@ def test_figure_9_dem_has_the_printed_beta1_but_jams_at_a_lower_volume_fraction_
     slope, offset = np.polyfit(columns["phi"], (columns["Z2"] - c["Zc"]) ** 2, 1)
     assert np.sqrt(slope) == pytest.approx(7.5, rel=0.05)
     assert -offset / slope == pytest.approx(0.580, abs=0.002) and c["phic"] == pytest.approx(0.587, abs=0.001)
+
+
+def test_figure_6_hertzian_pressure_is_proportional_to_the_hookean_to_the_power_of_3_2():
+    hookean, hertzian = (ensemble.steady(0.5, contact=contact, slow=2e-3).columns for contact in ("hookean", "hertzian"))
+    root = np.polyval(np.polyfit(hookean["Z2"], np.sqrt(hookean["p"]), 1), hertzian["Z2"])       # (4.2): linear in Z2
+    assert np.ptp(hertzian["p"]) > 0.5 * hertzian["p"].max()
+    assert root**3 / hertzian["p"] == pytest.approx(1.83, rel=0.06)
+
+
+def test_figure_12_packings_jam_at_many_volume_fractions_but_one_coordination_number():
+    found = [figures.jamming(data.rows(data.columns["step"] > 0).columns) for data in ensemble.compressions(0.5).values()]
+    a1, Zc, phi_ci = np.array(found).T
+    assert len(found) >= 6 and np.ptp(phi_ci) > 0.06 and np.ptp(Zc) < 0.12
+    assert (np.diff(phi_ci) > 0).all() and (np.diff(a1) < 0).all() and a1[0] == pytest.approx(0.0073, rel=0.1)

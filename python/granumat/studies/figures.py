@@ -18,7 +18,7 @@ from ..checks import refuse
 from ..core import STATE
 from ..material import CALIBRATIONS, Material
 from .colours import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from .ensemble import Columns, Measured, compressions, programme, steady
+from .ensemble import SLOW, Columns, Measured, compressions, programme, steady
 
 SHOWN = ["table-1", "dem-2026"]        # calibrations that are drawn beside the DEM
 LAW_STYLES = ((RED, "-"), (GREEN, "--"), (PURPLE, ":"))             # colour where the figure has no colours of its own, and line
@@ -164,7 +164,8 @@ def _said(*runs: Sequence[Measured]) -> str:
     counts = sorted({run.packings for some in runs for run in some})
     if not counts:
         return "no DEM run of this project yet"
-    return f"DEM: {' to '.join(map(str, counts))} packing{'s, mean' if counts != [1] else ''}" + (
+    number = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return f"DEM: {number} packing{'s, mean' if counts != [1] else ''}" + (
         "; bands: one standard deviation between them" if counts[-1] > 1 else "")
 
 
@@ -407,14 +408,15 @@ def figure_05() -> Figure:
 
 def figure_06() -> Figure:
     """Hookean and Hertzian contacts."""
-    notes = (r"$\mu$ = 0.5, closure full, steady simple shear; of Hookean contacts, blue, $(p\,d/k)^{3/2}$ is drawn (4.4)",
-             STEADY_POINTS)
+    notes = (r"$\mu$ = 0.5, closure full, steady simple shear; of Hookean contacts $(p\,d/k)^{3/2}$ is drawn (4.4)",
+             "DEM: constant volume, inertial number below 0.002; bars: one standard deviation between packings",
+             "dem-2026 has no constants for Hertzian contacts")
     figure, [panel] = _sheet(6, "Hookean and Hertzian contacts", notes, [("Z2", "p_Hz")], 1)
     for law, material in _materials(0.5, contact="hertzian"):
         columns = _steady(material)
         panel.draw(columns, "p", color=GREY, linestyle=law.line)
     for contact, power, style in (("hookean", 1.5, {"color": BLUE}), ("hertzian", 1, {"color": RED, "marker": "s"})):
-        data = steady(0.5, contact=contact)
+        data = steady(0.5, contact=contact, slow=2 * SLOW)
         scaled = data.columns["p"] ** power
         scatter = {"p_Hz": power * scaled * data.scatter["p"] / data.columns["p"]}
         panel.points(data.having(p_Hz=scaled)._replace(scatter=data.scatter | scatter), label=contact.capitalize(), **style)
