@@ -216,7 +216,7 @@ def failures():
         "mu above 1": {"props": changed(PROPS, 0, 1.5)},
         "stiffness 0": {"props": changed(PROPS, 1, 0.0)},
         "closure 2.5": {"props": changed(PROPS, 2, 2.5)},
-        "closure 5": {"props": changed(PROPS, 2, 5.0)},
+        "closure 7": {"props": changed(PROPS, 2, 7.0)},
         "contact 2": {"props": changed(PROPS, 3, 2.0)},
         "negative e_r": {"props": changed(PROPS, 4, -0.01)},
         "initial phi 1.2": {"statev": np.zeros(N_STATEV), "props": changed(PROPS, 5, 1.2)},
