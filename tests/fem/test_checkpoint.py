@@ -15,6 +15,8 @@ from support.ranks import ENVIRONMENT, on_ranks
 from support.scenes import read_table
 from support.xdmf import records
 
+pytestmark = pytest.mark.release_only
+
 SCRIPT = """
 import os, sys, time
 from pathlib import Path
@@ -23,7 +25,6 @@ from mpi4py import MPI
 from granumat import Material, fem
 from granumat.fem.cellwise import CellOrder
 
-pytestmark = pytest.mark.release_only
 out, resumed, pause = Path(sys.argv[1]), sys.argv[2] == "resumed", float(sys.argv[3])
 material = Material(0.5, elastic_strain=1e-2)
 def inner(x): return np.isclose(np.hypot(x[0], x[1]), 1)
