@@ -202,7 +202,6 @@ contains
     type(shared_derivatives), intent(out) :: shared
     real(dp), dimension(LANES, N_NODES) :: f, f_slope, kernel, before, inverse_y
     real(dp), dimension(LANES) :: t, decay, power
-    real(dp) :: by_loss                                  ! of dZ2/dt by |S|
     real(dp) :: needed(LANES, 0:MAX_TERMS)               ! 1 where a lane needs the term, else 0
     real(dp) :: by_y(LANES, N_NODES, 0:MAX_TERMS)        ! of d1 A : S = -d1 y'/(c3 y) by y_k
     integer :: i, k, m
@@ -224,7 +223,6 @@ contains
         before(:, i) = before(:, i) * step%t(:, i)
       end do
     end do
-    by_loss = -par%d1 * par%chi
     do m = AT_END, step%last
       t = step%t_place(:, m)
       decay = step%decay_place(:, m)
@@ -244,7 +242,7 @@ contains
         shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
       end do
       shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
-      shared%by_mod_S(:, m) = by_loss * step%share * shared%by_mod_S(:, m)
+      shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
       shared%by_nonlocal(:, m) = par%d2 * step%share * shared%by_nonlocal(:, m)
       power = 1
       do k = 0, shared%terms
