@@ -242,7 +242,7 @@ contains
         shared%by_log_phi(:, m) = shared%by_log_phi(:, m) + kernel(:, i) * f_slope(:, i)
       end do
       shared%by_tr_D(:, m) = step%share * (shared%by_tr_D(:, m) + par%d3 * shared%by_mod_S(:, m))
-      shared%by_mod_S(:, m) = -par%d1 * par%chi * step%share * shared%by_mod_S(:, m)
+      shared%by_mod_S(:, m) = -par%d1 * (par%chi * (step%share * shared%by_mod_S(:, m)))
       shared%by_nonlocal(:, m) = par%d2 * step%share * shared%by_nonlocal(:, m)
       power = 1
       do k = 0, shared%terms

@@ -65,7 +65,7 @@ contains
     real(dp), intent(in) :: distance(LANES)
     real(dp) :: target(LANES)
     if (pressure_evolves(par)) then
-      target = par%beta1**2 / 2 * distance
+      target = par%beta1 * (par%beta1 * (distance / 2))        ! vector instructions throughout
     else
       target = excess_target(par, distance)
     end if
