@@ -68,10 +68,9 @@ module granumat_substeps
     real(dp) :: weights(LANES, 0:MAX_DEGREE)                                 !! of granumat_relaxation
     real(dp) :: R(LANES, 5, 5, 0:MAX_DEGREE)                                 !! rotations of deviators to the end
     real(dp) :: rotated(LANES, 5, 0:MAX_DEGREE), decayed(LANES, 5)           !! the model's deviators and the old one there
+    real(dp) :: mobilised(LANES, N_NODES)                                    !! share of friction at the nodes, where friction turns
     type(fabric_solution) :: fabric
-    ! in the closure where friction turns
-    type(mobilisation_solution) :: mobilisation
-    real(dp) :: mobilised(LANES, N_NODES)                                    !! share of friction at the nodes
+    type(mobilisation_solution) :: mobilisation                              !! where friction turns
     integer :: last
   end type substep_solution
 

@@ -126,7 +126,7 @@ contains
     type(internal_state), intent(in) :: x
     type(lane_state), intent(inout) :: new
     integer, intent(inout) :: status(LANES)
-    real(dp) :: factor(LANES), p(LANES), dev(LANES, 5), excess(LANES)
+    real(dp) :: factor(LANES), p(LANES), excess(LANES)
 
     factor = pressure_factor(par, x%A, inc%tr_direction)
     new%fabric = to_voigt(x%A)
@@ -137,12 +137,11 @@ contains
     p = pressure(par, factor, excess)
     if (friction_turns(par)) then
       new%direction = add_identity(to_voigt(x%dev), followed_trace(par, old, inc) / 3)
-      dev = times(p, mobilised_deviator(par, x%A, x%dev))
+      new%stress = add_identity(to_voigt(times(p, mobilised_deviator(par, x%A, x%dev))), -p)
     else
       new%direction = inc%direction
-      dev = x%dev
+      new%stress = add_identity(to_voigt(x%dev), -p)
     end if
-    new%stress = add_identity(to_voigt(dev), -p)
   end subroutine to_state
 
   !> The trace of the direction where that follows D^ over the strain e_r, as its deviator M does.

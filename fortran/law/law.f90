@@ -75,8 +75,11 @@ contains
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: distance(LANES)
     real(dp) :: slope(LANES)
-    slope = par%beta1**2 / 2
-    if (.not. pressure_evolves(par)) slope = excess_target_slope(par, distance)
+    if (pressure_evolves(par)) then
+      slope = par%beta1**2 / 2
+    else
+      slope = excess_target_slope(par, distance)
+    end if
   end function evolving_target_slope
 
   !> The volume fraction whose f(phi) - Zc is a given excess above 0: the inverse of (4.9).
