@@ -22,7 +22,7 @@ CLOSURES: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {            # name
     "full text": ({"closure": "full", "calibration": "text"}, {"color": GREY, "linestyle": "--"}),
     "kinematic": ({"closure": "kinematic"}, {"color": GREEN}),
     "mobilised": ({"closure": "mobilised"}, {"color": "black"}),
-    "mobilised-pressure": ({"closure": "mobilised-pressure"}, {"color": "black", "linestyle": "--"}),
+    "mobilised-pressure": ({"closure": "mobilised-pressure"}, {"color": "black", "linestyle": ":"}),
 }
 DISTANCE = 0.60 - Material(0.5)["phic"]      # phi - phic of all curves: the same for all mu, so that pressures are similar
 FIRST_STRAIN = 1e-6                          # shear strain of the first increment: just after the reversal
@@ -49,7 +49,7 @@ class Curve(NamedTuple):
         scale = self.elastic_strain if self.elastic_strain and measure == "eigenvalue" else 1.0
         deep = values * scale < -DEEP
         negative = values < -ROUND_OFF
-        return {"after_reversal": values[0], "least": np.nanmin(values), "steady": self.steady[measure],
+        return {"after_reversal": values[0], "least": np.fmin.reduce(values), "steady": self.steady[measure],
                 "first": gamma[negative][0] if negative.any() else np.nan, "duration": _duration(gamma, negative),
                 "duration_deep": _duration(gamma, deep) if measure != "determinant" else np.nan}
 
@@ -159,6 +159,7 @@ def draw(curves: Sequence[Curve]) -> Figure:
                     axes.plot(c.columns["gamma"], values, label=c.closure, linewidth=1.3, **CLOSURES[c.closure][1])
     panels[1, 0].set_yscale("symlog", linthresh=1e-4, linscale=0.5)
     panels[1, 0].set_ylim(-0.2, 2e-4)
+    panels[2, 0].set_ylim(-0.1, 0.06)                  # over p, which vanishes in mobilised-pressure for a while
     for mu, axes in zip(MUS, panels[0]):
         axes.set_title(rf"$\mu$ = {mu:g}", fontsize=10)
     for axes in panels[-1]:
