@@ -426,7 +426,9 @@ class Material:
         parts = 1
         if self.closure in TURNING:
             parts = int(np.ceil(self.steady_strain / (LONGEST_PART * self["elastic_strain"])))
-        exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
+        exact = self
+        if (self._given["method"], self._given["spin"]) != ("exact", "inside"):
+            exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
         states = np.array([exact.state(phi, self["Zc"]) for phi in np.ravel(volume_fraction).tolist()], STATE).view(np.recarray)
         gradient = np.zeros((len(states), 3, 3))
         gradient[:, 0, 2] = self.steady_strain / parts
