@@ -65,6 +65,7 @@ def test_wrong_shapes_are_refused(material):
         material.update(states, np.zeros((2, 3, 3)), out=np.zeros(3, STATE))
 
 
+@pytest.mark.release_only
 def test_other_python_threads_run_during_an_update(rng, material):
     states, gradient = random_states(rng, material, 100_000, 1.0)
     worker = threading.Thread(target=material.update, args=(states, gradient))

@@ -57,6 +57,7 @@ def test_an_elastic_strain_makes_explicit_methods_unstable_above_its_own_multipl
     assert limit == pytest.approx(2 * REAL_LIMIT[method] * elastic_strain, rel=0.01)
 
 
+@pytest.mark.release_only
 @pytest.mark.parametrize("elastic_strain", [0.0, 0.01])
 @pytest.mark.parametrize("method", ["exact", "bogacki-shampine", "backward-euler"])
 def test_the_others_have_no_limit(method, elastic_strain):
