@@ -10,7 +10,7 @@ module granumat_bindings
   use granumat_methods, only: scheme
   use granumat_path, only: follow_path
   use granumat_state, only: lane_state, material_state, gather, scatter
-  use granumat_starts, only: excess_under, isotropic_state, steady_state
+  use granumat_starts, only: excess_under, isotropic_state, steady_states
   use granumat_stress, only: evaluate
   use granumat_status, only: status_message, BAD_INITIAL_STATE, MESSAGE_LENGTH
   implicit none (type, external)
@@ -79,13 +79,18 @@ contains
     if (pressure >= 0) call isotropic_state(par, volume_fraction, excess_under(par, pressure), state, status)
   end subroutine granumat_isotropic_state
 
-  subroutine granumat_steady_state(par, volume_fraction, state, status) bind(c)
+  subroutine granumat_steady_states(n, par, volume_fractions, states, status) bind(c)
+    integer(c_int), value, intent(in) :: n
     type(material_parameters), intent(in) :: par
-    real(c_double), value, intent(in) :: volume_fraction
-    type(material_state), intent(out) :: state
-    integer(c_int), intent(out) :: status
-    call steady_state(par, volume_fraction, state, status)
-  end subroutine granumat_steady_state
+    real(c_double), intent(in) :: volume_fractions(n)
+    type(material_state), intent(out) :: states(n)
+    integer(c_int), intent(out) :: status(n)
+    integer :: first, last
+    do first = 1, n, LANES
+      last = min(first + LANES - 1, n)
+      call steady_states(par, volume_fractions(first:last), states(first:last), status(first:last))
+    end do
+  end subroutine granumat_steady_states
 
   subroutine granumat_transverse_modulus(n, par, states, eta_t) bind(c)
     integer(c_int), value, intent(in) :: n

@@ -102,8 +102,9 @@ void granumat_status_message(int status, char message[GRANUMAT_MESSAGE]);
 void granumat_isotropic_state(const struct granumat_parameters *par, double phi, double pressure, struct granumat_state *state,
                               int *status);
 
-/* Steady simple shear du_1/dx_3 > 0 at volume fraction phi. */
-void granumat_steady_state(const struct granumat_parameters *par, double phi, struct granumat_state *state, int *status);
+/* Steady simple shear du_1/dx_3 > 0 at n volume fractions phi. */
+void granumat_steady_states(int n, const struct granumat_parameters *par, const double *phi, struct granumat_state *states,
+                            int *status);
 
 /* The states' stress becomes the model's; eta receives the friction coefficient. */
 void granumat_evaluate_stress(int n, const struct granumat_parameters *par, struct granumat_state *states, double *eta);

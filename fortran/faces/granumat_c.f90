@@ -5,7 +5,7 @@ module granumat_c
   implicit none (type, external)
   private
   public :: granumat_parameters_from_friction, granumat_complete_parameters, granumat_constant_range, granumat_status_message, &
-    granumat_isotropic_state, granumat_steady_state, granumat_evaluate_stress, granumat_update_states, &
+    granumat_isotropic_state, granumat_steady_states, granumat_evaluate_stress, granumat_update_states, &
     granumat_update_states_with_tangent, granumat_update_states_by_method, granumat_follow_path, granumat_transverse_modulus, &
     granumat_response, granumat_least_acoustic, granumat_element_gradients, granumat_element_forces, granumat_element_stiffness, &
     granumat_arithmetic
@@ -68,14 +68,15 @@ module granumat_c
       integer(c_int), intent(out) :: status
     end subroutine granumat_isotropic_state
 
-    subroutine granumat_steady_state(par, phi, state, status) bind(c)
+    subroutine granumat_steady_states(n, par, phi, states, status) bind(c)
       import :: c_double, c_int, granumat_parameters, granumat_state
       implicit none (type, external)
+      integer(c_int), value, intent(in) :: n
       type(granumat_parameters), intent(in) :: par
-      real(c_double), value, intent(in) :: phi
-      type(granumat_state), intent(out) :: state
-      integer(c_int), intent(out) :: status
-    end subroutine granumat_steady_state
+      real(c_double), intent(in) :: phi(n)
+      type(granumat_state), intent(out) :: states(n)
+      integer(c_int), intent(out) :: status(n)
+    end subroutine granumat_steady_states
 
     subroutine granumat_evaluate_stress(n, par, states, eta) bind(c)
       import :: c_double, c_int, granumat_parameters, granumat_state

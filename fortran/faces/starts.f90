@@ -9,7 +9,7 @@ module granumat_starts
   use granumat_update, only: update
   implicit none (type, external)
   private
-  public :: excess_under, isotropic_state, steady_state
+  public :: excess_under, isotropic_state, steady_states
 
   real(dp), parameter :: LARGEST_COORDINATION = 12    ! spheres that fit around one; beyond, the pressure is in other units
   real(dp), parameter :: STEADY_DECAYS = 39           ! exp(-39) is below round-off: Z2 decays by exp(-d2 |D|), A faster
@@ -54,17 +54,17 @@ contains
   end subroutine isotropic_state
 
   !> Steady simple shear at constant volume, du_x/dz > 0: A and Z2 at which (4.7) and (4.8) vanish.
-  pure subroutine steady_state(par, phi, x, status)
+  pure subroutine steady_states(par, phi, points, status)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: phi
-    type(material_state), intent(out) :: x
-    integer, intent(out) :: status
-    type(material_state) :: found(1)
+    real(dp), intent(in) :: phi(:)                    ! at most LANES of them
+    type(material_state), intent(out) :: points(:)
+    integer, intent(out) :: status(:)
     type(lane_state) :: start, end
     real(dp) :: gamma, strain(LANES, 6), spin(LANES, 3)
-    integer :: lane_status(LANES), part, parts
+    integer :: lane_status(LANES), i, part, parts
 
-    x = material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=phi)
+    points = [(material_state(stress=0, fabric=0, direction=0, coordination_number=par%Zc, volume_fraction=phi(i)), &
+      i = 1, size(phi))]
     gamma = 2 * STEADY_DECAYS / max(par%d2, SLOWEST_DECAY)
     parts = 1
     if (friction_turns(par)) parts = ceiling(gamma / (LONGEST_PART * par%elastic_strain))
@@ -72,14 +72,13 @@ contains
     strain(:, 5) = gamma / parts
     spin = 0
     spin(:, 2) = gamma / parts / 2
-    call gather([x], end)
+    call gather(points, end)
     do part = 1, parts
       start = end
       call update(par, start, strain, spin, end, lane_status)
     end do
-    call scatter(end, found)
-    x = found(1)
-    status = lane_status(1)
-  end subroutine steady_state
+    call scatter(end, points)
+    status = lane_status(:size(phi))
+  end subroutine steady_states
 
 end module granumat_starts

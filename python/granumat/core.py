@@ -65,6 +65,12 @@ def update_by_method(par: np.ndarray, scheme: Scheme, old: np.ndarray, gradients
     _core.granumat_update_states_by_method(threads, *scheme, par, numbers(old), gradients, numbers(new), status)
 
 
+def steady_states(par: np.ndarray, volume_fractions: np.ndarray) -> tuple[np.recarray, np.ndarray]:
+    """States (n,) of steady simple shear at volume fractions (n,), and 0 or why there is none (n,)."""
+    states, status = _core.granumat_steady_states(par, volume_fractions)
+    return states.view(STATE)[:, 0].view(np.recarray), status
+
+
 def evaluate(par: np.ndarray, states: np.ndarray) -> np.ndarray:
     """Replaces the stress of states (n,) by the model's; returns the friction coefficient eta (n,)."""
     return _core.granumat_evaluate_stress(par, numbers(states))

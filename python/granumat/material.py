@@ -35,10 +35,6 @@ RANGES = core.constant_ranges()
 OPTIONS = ("closure", "contact", "friction", "calibration", "method", "spin", "method_tolerance")
 DERIVED = ("chi", "kappa", "lambda", "fabric_limit")    # (A 7)-(A 9), and abs(A) from where (4.7) can grow without bound
 
-STEADY_DECAYS = 39.0    # exp(-39) is below round-off; Z2 decays by exp(-d2 s), s half the shear strain, the fabric faster
-SLOWEST_DECAY = 1.0     # smallest d2 for which the strain that leads to a steady state grows as 1/d2
-LONGEST_PART = 1000.0   # of that strain over e_r, where substeps grow in number with this ratio
-
 TRACE_TOLERANCE = 1e-12         # of a fabric that counts as traceless
 DIRECTION_TOLERANCE = 1e-9      # of a direction's magnitude 1
 PRESSURE_TOLERANCE = 1e-6       # of a state's pressure against the law's for its microstructure, relative
@@ -398,11 +394,6 @@ class Material:
             return np.where(excess > 0, self["phic"] + (np.maximum(excess, 0) / self["beta1"]) ** (1 / self["beta2"]),
                             min(given, self["phic"]))
 
-    @property
-    def steady_strain(self) -> float:
-        """Shear strain that leads to the steady state from any other: the influence of the start is then below round-off."""
-        return 2 * STEADY_DECAYS / max(self["d2"], SLOWEST_DECAY)
-
     @overload
     def steady(self, volume_fraction: float) -> np.record: ...
 
@@ -423,17 +414,9 @@ class Material:
         -------
         record or record array (...) of dtype STATE
         """
-        parts = 1
-        if self.closure in TURNING:
-            parts = int(np.ceil(self.steady_strain / (LONGEST_PART * self["elastic_strain"])))
-        exact = self
-        if (self._given["method"], self._given["spin"]) != ("exact", "inside"):
-            exact = Material(**(self._given | {"method": "exact", "spin": "inside"}))
-        states = np.array([exact.state(phi, self["Zc"]) for phi in np.ravel(volume_fraction).tolist()], STATE).view(np.recarray)
-        gradient = np.zeros((len(states), 3, 3))
-        gradient[:, 0, 2] = self.steady_strain / parts
-        for _ in range(parts):
-            states = exact.update(states, gradient)
+        packings = np.array([self.state(phi, self["Zc"]) for phi in np.ravel(volume_fraction).tolist()], STATE)
+        states, status = core.steady_states(self._par, packings["volume_fraction"])
+        _refuse_failures(status, states)
         return states.reshape(np.shape(volume_fraction)).view(np.recarray) if np.ndim(volume_fraction) else states[0]
 
     # ---- increments ------------------------------------------------------------------------------------------------
@@ -525,11 +508,7 @@ class Material:
         if not self.is_exact:
             core.update_by_method(self._par, self._scheme, *arguments[1:], threads)
         records: Any = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
-        if status.any():
-            first = int(np.flatnonzero(status)[0])
-            others = np.count_nonzero(status) - 1
-            raise MaterialError(f"point {first}: {status_message(status[first])}" + (f" (and {others} more)" if others else ""),
-                                status.reshape(shape), records)
+        _refuse_failures(status.reshape(shape), records)
         return records
 
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -661,6 +640,14 @@ class Material:
         """
         start = np.array(state, STATE).reshape(1)
         return core.follow_path(self._par, self._scheme, start, gradients, modes, functionals, targets, tolerance)
+
+
+def _refuse_failures(status: np.ndarray, records: Any) -> None:
+    """MaterialError if the core's status (...) says that not all points have a new state."""
+    failed = np.flatnonzero(status)
+    if failed.size:
+        words = f"point {failed[0]}: {status_message(status.flat[failed[0]])}"
+        raise MaterialError(words + (f" (and {failed.size - 1} more)" if failed.size > 1 else ""), status, records)
 
 
 def _turning_faults(closure: str, elastic_strain: float | None, method: str) -> list[str]:

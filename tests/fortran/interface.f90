@@ -2,7 +2,7 @@
 program interface
   use, intrinsic :: iso_c_binding, only: c_double, c_int
   use granumat_c, only: granumat_parameters, granumat_state, granumat_parameters_from_friction, granumat_complete_parameters, &
-    granumat_isotropic_state, granumat_steady_state, granumat_update_states_with_tangent, GRANUMAT_CONSTANTS, GRANUMAT_FULL, &
+    granumat_isotropic_state, granumat_steady_states, granumat_update_states_with_tangent, GRANUMAT_CONSTANTS, GRANUMAT_FULL, &
     GRANUMAT_HOOKEAN, GRANUMAT_TABLE_1
   implicit none (type, external)
   type(granumat_parameters) :: par
@@ -15,7 +15,7 @@ program interface
   par%elastic_strain = 0.01_c_double
   call granumat_complete_parameters(par, faulty, valid)
   if (valid == 0) error stop "not a material"
-  call granumat_steady_state(par, 0.60_c_double, old(1), status(1))
+  call granumat_steady_states(1, par, [0.60_c_double], old(:1), status(:1))
   call granumat_isotropic_state(par, 0.60_c_double, 0.005_c_double, old(2), status(2))
   if (any(status /= 0)) error stop "no state to start from"
   gradient = 0

@@ -51,16 +51,11 @@ def _isotropic(phi: np.ndarray, z2: ArrayLike) -> np.ndarray:
     return states
 
 
-def _steady(material: Material, phi: np.ndarray) -> np.ndarray:
-    """States (n,) of steady simple shear, du_x/dz > 0."""
-    return material.update(_isotropic(phi, material["Zc"]), _shear([material.steady_strain], np.ones(len(phi)))[0])
-
-
 def _reversed_shear(title: str, points: int, strains: ArrayLike, phi: tuple[float, float] = (0.59, 0.62),
                     **definition: Any) -> Case:
     """Simple shear from the steady state of forward shear, at volume fractions between the two of phi."""
     rng, sizes = _random(points)
-    states = _steady(Material(**definition), rng.uniform(*phi, points))
+    states = Material(**definition).steady(rng.uniform(*phi, points))
     return Case(title, states, _shear(strains, sizes), definition)
 
 
@@ -91,7 +86,7 @@ def cycles_pressure(points: int) -> Case:
     material = Material()
     histories = min(points, HISTORIES)
     sizes, phi = np.resize(sizes[:histories], points), np.resize(rng.uniform(0.595, 0.62, histories), points)
-    states, gradients = _steady(material, phi), _shear(-CYCLES, sizes)
+    states, gradients = material.steady(phi), _shear(-CYCLES, sizes)
     volume_strains = np.empty((len(CYCLES), histories))
     for i in range(histories):
         steps = [driver.shear(strain, "pressure", 1) for strain in gradients[:, i, 0, 2].tolist()]
@@ -138,7 +133,7 @@ def quarter_turn(points: int) -> Case:
 def through_phic(points: int) -> Case:
     """Volume fractions that cross phic, where (4.9) has an infinite slope."""
     rng, sizes = _random(points)
-    states = _steady(Material(), rng.uniform(0.5885, 0.591, points))
+    states = Material().steady(rng.uniform(0.5885, 0.591, points))
     volume_strains = np.multiply.outer([0.002] * 10 + [-0.002] * 10, sizes)
     return Case("volume fraction through phic and back, increments of 0.01", states,
                 _dilated(_shear([0.01] * 20, sizes), volume_strains), {})
