@@ -20,7 +20,7 @@ from ..signals import noted_signals
 from ..steps import SHEAR
 from ..toml import write_content
 from .comparison import SCATTER, Comparison
-from .fitting import FIRST_WEIGHT, Constants, Fit, Sample, fit, search
+from .fitting import FIRST_WEIGHT, Constants, Fit, Sample, fit, robust, search
 from .measured import FABRIC, Run, read_runs
 from .predicted import Prediction, columns_of, predict
 from .scores import PHASES, QUANTITIES, ROUNDING, Yardstick, root_mean_square
@@ -126,10 +126,11 @@ class FittedSet:
                 "held": list(self.held), "on_bounds": list(self.on_bounds), "unseen": self.unseen_in_words()}
         if self.comparison is not None:
             for model in (*self.comparison.predictions, SCATTER):
-                scores = root_mean_square(self.comparison.scores(model))
+                scores = self.comparison.scores(model)
                 said[f"scores {model}"] = {
                     phase: {name: _rounded(score, 3) for name, score in zip(QUANTITIES, of_phase) if np.isfinite(score)}
-                    for phase, of_phase in zip(PHASES, scores) if phase in NOTED_PHASES}
+                    for phase, of_phase in zip(PHASES, root_mean_square(scores)) if phase in NOTED_PHASES}
+                said[f"p {model}"] = {run.name: _rounded(p, 3) for run, p in zip(self.runs, scores[:, 0, 0]) if np.isfinite(p)}
         return said
 
 
@@ -316,9 +317,12 @@ class _Search:
         """Search in stages, as far as no signal comes."""
         found, comparison = None, None
         try:
-            self._search_part(OF_CLOSURE, self._stress_errors)
-            self._search_part(OF_RATES, self._rates_errors)
             everything = range(len(self.runs))
+            for names, errors in ((OF_CLOSURE, self._stress_errors), (OF_RATES, self._rates_errors)):
+                before = self.y
+                self.y = self._search_part(names, errors)
+                if self._sum(self.y) > self._sum(before):        # far from the whole histories, which may have no way back
+                    self.y = before
             if self.constants.names:
                 found = fit(lambda y: self._errors(y, everything), self.sums.sample, self.constants, self.y)
                 self.y = found.y
@@ -372,13 +376,17 @@ class _Search:
         found = self._predict(self._material(y), numbers)
         return np.concatenate([self.sums.errors(number, prediction) for number, prediction in zip(numbers, found)])
 
+    def _sum(self, y: np.ndarray) -> float:
+        """The sum of robust squares of the errors along all runs."""
+        return float(self.sums.sample.weights @ robust(self._errors(y, range(len(self.runs))) ** 2)[0])
+
     # ---- what the measured microstructure decides by itself
 
-    def _search_part(self, names: Sequence[str], errors: Callable[[Material], np.ndarray]) -> None:
-        """Fit the constants of some names to errors (m,) of the law for measured states, if there are any."""
+    def _search_part(self, names: Sequence[str], errors: Callable[[Material], np.ndarray]) -> np.ndarray:
+        """The y (n,) with constants of some names fitted to errors (m,) of the law for measured states, if there are any."""
         which, size = self.constants.among(names), len(errors(self.first))
         if not which.any() or not size:
-            return
+            return self.y
 
         def of_part(part: np.ndarray) -> np.ndarray:
             y = self.y.copy()
@@ -389,7 +397,9 @@ class _Search:
             except MaterialError:
                 return np.full(size, UNREACHED)
         sample = Sample(np.full(size, 1 / size), np.zeros(size, int))
-        self.y[which] = search(of_part, sample, self.constants.part(which), FIRST_WEIGHT, self.y[which])
+        y = self.y.copy()
+        y[which] = search(of_part, sample, self.constants.part(which), FIRST_WEIGHT, self.y[which])
+        return y
 
     def _stress_errors(self, material: Material) -> np.ndarray:
         """Errors of the stress that the law gives for the microstructure of settled rows."""

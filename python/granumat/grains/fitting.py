@@ -129,6 +129,12 @@ def fit(errors: Errors, sample: Sample, constants: Constants, y: np.ndarray) -> 
     return examine(errors, sample, constants, y, found.weight)
 
 
+def robust(squares: np.ndarray) -> np.ndarray:
+    """rho, rho', rho'' (3, m) of squared errors (m,)."""
+    root = np.sqrt(1 + squares)
+    return np.array([2 * (root - 1), 1 / root, -0.5 / root**3])
+
+
 def search(errors: Errors, sample: Sample, constants: Constants, weight: float, y: np.ndarray,
            jacobian: np.ndarray | None = None) -> np.ndarray:
     """The y (n,) of the least sum, from another; with a given jacobian (m, n) by the chord method."""
@@ -139,8 +145,7 @@ def search(errors: Errors, sample: Sample, constants: Constants, weight: float, 
     def of_data(z: np.ndarray) -> np.ndarray:
         """rho, rho', rho'' of the squares of all errors; the last n are y itself."""
         m = len(z) - n
-        root = np.sqrt(1 + z[:m])
-        of_errors = sample.weights * np.array([2 * (root - 1), 1 / root, -0.5 / root**3])
+        of_errors = sample.weights * robust(z[:m])
         return np.hstack([of_errors, weight * np.array([z[m:], np.ones(n), np.zeros(n)])])
     found = least_squares(
         lambda y: np.append(errors(y), y), np.clip(y, lower + STEP * 1e-3, upper - STEP * 1e-3),

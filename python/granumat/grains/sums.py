@@ -15,7 +15,7 @@ LEAST_SCATTER = 1e-4
 # Phases since the last turn, and the widths of their bins: 20 in each of the first two, and all phases count alike.
 PHASE_ENDS = (0.1, 0.5)
 BIN_WIDTHS = (0.005, 0.02, 0.05)
-UNREACHED = 30.0            # error over the scatter where the law does not come
+UNREACHED = 30.0            # error over the scatter where the law does not come; no other counts more, such as a ratio at p = 0
 
 
 class Sums:
@@ -69,7 +69,7 @@ class Sums:
             return np.full(sum(map(len, means)), UNREACHED)
         scatter = self.scatter * np.sqrt((1 + 1 / yardstick.run.seeds) / 2)
         errors = yardstick.errors(prediction) / scatter
-        errors = np.where(np.isinf(errors), UNREACHED, np.nan_to_num(errors))
+        errors = np.clip(np.nan_to_num(errors), -UNREACHED, UNREACHED)
         return np.concatenate([shares @ column for shares, column in zip(means, errors.T)])
 
 
