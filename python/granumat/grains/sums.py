@@ -7,7 +7,7 @@ import numpy as np
 from .fitting import Sample
 from .measured import Run
 from .predicted import Prediction
-from .scores import QUANTITIES, ROUNDING, Yardstick, root_mean_square
+from .scores import QUANTITIES, ROUNDING, Yardstick
 
 # The scatter of one run of 2000 spheres, over the scales of scores, where no run has several seeds.
 SCATTER = dict(zip(QUANTITIES, (0.1, 0.017, 0.08, 0.08, 0.04, 0.03, 0.002)))
@@ -29,7 +29,8 @@ class Sums:
     Attributes
     ----------
     scatter : array (7,)
-        Standard deviation that one packing has, by QUANTITIES over the scales of scores: the seeds' where there are several.
+        Standard deviation that one packing has, by QUANTITIES over the scales of scores: the median over runs of several seeds. A
+        run whose own is larger, such as one that liquefies, has that.
     quantities : array (m,) of int
         Which of QUANTITIES a mean is of.
     sample : Sample
@@ -38,8 +39,9 @@ class Sums:
 
     def __init__(self, yardsticks: Sequence[Yardstick]) -> None:
         self.yardsticks = yardsticks
-        scores = root_mean_square(np.array([yardstick.scatter_scores for yardstick in yardsticks]))[0]
-        self.scatter = np.where(np.isnan(scores), list(SCATTER.values()), np.maximum(scores, LEAST_SCATTER))
+        self._scatter = np.array([yardstick.scatter_scores[0] for yardstick in yardsticks])
+        self.scatter = np.array([np.median(known) if (known := of_runs[~np.isnan(of_runs)]).size else SCATTER[name]
+                                 for name, of_runs in zip(QUANTITIES, self._scatter.T)]).clip(LEAST_SCATTER)
         self._means: list[list[np.ndarray]] = []                 # of each run and quantity: shares (bins, n) of rows
         parts, weights = [], []
         for number, yardstick in enumerate(yardsticks):
@@ -67,7 +69,7 @@ class Sums:
         yardstick, means = self.yardsticks[number], self._means[number]
         if prediction is None:
             return np.full(sum(map(len, means)), UNREACHED)
-        scatter = self.scatter * np.sqrt((1 + 1 / yardstick.run.seeds) / 2)
+        scatter = np.fmax(self.scatter, self._scatter[number]) * np.sqrt((1 + 1 / yardstick.run.seeds) / 2)
         errors = yardstick.errors(prediction) / scatter
         errors = np.clip(np.nan_to_num(errors), -UNREACHED, UNREACHED)
         return np.concatenate([shares @ column for shares, column in zip(means, errors.T)])
