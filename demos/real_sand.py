@@ -15,6 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from granumat import Material, driver
+from granumat.material import RANGES
 from granumat.paths import read_path_file
 
 PATH = read_path_file(Path(__file__).parent / "paths/triaxial-strain-cycles.toml")
@@ -22,9 +23,11 @@ PRESSURE, AMPLITUDE = -PATH.state.stress[0], PATH.steps[0].strain           # p0
 CONFINEMENT = 200                                                           # kPa, where quartz has this p0 d/k
 REVERSALS = np.cumsum([step.increments for step in PATH.steps])             # rows of a history
 
+FITTED = Material(mu=0.5, calibration="dem-2026")                           # to Hookean spheres
 MATERIALS = {                       # what is drawn, all with mu = 0.5
     "printed": {"closure": "full", "elastic_strain": 0.001},
     "mobilised": {"closure": "mobilised", "elastic_strain": 0.01},
+    "dem-2026": {name: FITTED[name] for name in RANGES if name not in ("mu", "b3")},    # for Hertzian contacts too
 }
 DENSITIES = (0.585, 0.59, 0.60)     # phi; phic is 0.5868
 STYLES = ("-", "--", ":")           # of the materials
@@ -114,7 +117,7 @@ def draw_paths(axes):
         p, ratio = follow(settings, DENSITIES[1])
         axes.plot(p, ratio * p, style, color="C1", label=f"{name}, $\\phi$ = {DENSITIES[1]}")
         axes.plot(p[REVERSALS], (ratio * p)[REVERSALS], "o", color="C1", markersize=3)
-    axes.set(title="stress paths: q/p is three to four times too low", xlabel="$p/p_0$", ylabel="$q/p_0$, extension negative",
+    axes.set(title="stress paths: q/p is too low", xlabel="$p/p_0$", ylabel="$q/p_0$, extension negative",
              xlim=(0, 1.1), ylim=(-1, 1))
 
 

@@ -132,17 +132,6 @@ def test_dem_2026_says_where_it_holds_and_how_well_it_is_known():
         Material(0.9, calibration="dem-2026")
 
 
-def test_the_page_has_the_scores_that_the_file_has():
-    page = (DATA.parents[1] / "docs" / "calibrate.md").read_text()
-    quantities = ("p", "stress_ratio", "Z2", "A_xz", "N2/p")
-    for noted in SHIPPED["fitted"]:
-        for words in ("fitted", "run left out", "programme left out"):
-            every, first = (noted[f"scores {words}"][phase] for phase in ("all", "first 0.1"))
-            cells = [f"{every[name]:.3f}" for name in quantities] + [f"{every['phi']:.3f}" if "phi" in every else "-"]
-            cells += [f"{first[name]:.3f}" for name in quantities]
-            assert f"| {noted['mu']:g} | {noted['closure']}, {words} | {' | '.join(cells)} |" in page
-
-
 @pytest.mark.parametrize("closure", ["full", *TURNING])
 def test_dem_2026_halves_the_error_of_the_printed_constants_on_the_figures_data(closure):
     for table in sorted(DATA.glob("cv_mu*_s*.csv")):

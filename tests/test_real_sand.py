@@ -105,6 +105,15 @@ def test_stiff_grains_make_a_loose_packing_lose_more_and_a_dense_one_less(pressu
     assert steady < SOFT and f"{steady / STIFF:.0f} times p0 if they are as stiff as quartz" in TEXT
 
 
+def test_constants_of_spheres_make_the_loss_depend_less_on_the_density_and_the_ratio_lower(demo, pressure):
+    settings = demo["MATERIALS"]["dem-2026"]
+    printed, fitted = (100 * (1 - pressure(DENSE, settings=one)[3]) for one in (demo["MATERIALS"]["printed"], settings))
+    assert f"at phi = 0.6 the printed law loses {printed:.0f} % in four reversals, this one {fitted:.0f} %" in TEXT
+    ranges = [row[-1] for row in demo["rows"]() if row[0].startswith("dem-2026")][:4]
+    assert f"q/p is {np.min(ranges):.2f} to {np.max(ranges):.2g} at strains of 1 %" in TEXT
+    assert f"that of *dem-2026* {settings['phic']:.4f}" in TEXT and f"where e_r is {settings['elastic_strain']:.3f}" in TEXT
+
+
 def test_mobilised_with_a_small_elastic_strain_is_near_the_printed_law(pressure):
     found = pressure(MIDDLE, settings={"closure": "mobilised", "elastic_strain": 0.001})
     assert "p/p0 is {:.2f}, {:.2f}, {:.2f} and {:.2f}.".format(*found) in TEXT
