@@ -2,7 +2,7 @@
 
     python demos/dem/dem_2026.py results/dem-2026
 
-Fits the constants, in a few minutes, and leaves dem-2026.toml, tables.md, and scores.txt with the scores of each run in the folder.
+Fits the constants, in two minutes, and leaves dem-2026.toml, tables.md, and scores.txt with the scores of each run in the folder.
 """
 
 import argparse
