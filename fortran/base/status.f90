@@ -21,6 +21,7 @@ module granumat_status
   integer, parameter, public :: BAD_DEFORMATION = 14
   integer, parameter, public :: PLANE_STRESS = 15
   integer, parameter, public :: STRAIN_TOO_LARGE = 16
+  integer, parameter, public :: BAD_NONLOCAL_STRAIN = 17
 
   integer, parameter, public :: MESSAGE_LENGTH = 120
 
@@ -66,6 +67,8 @@ contains
       message = "plane stress (NTENS 3): a material without cohesion bears no load with a principal stress of zero"
     case (STRAIN_TOO_LARGE)
       message = "the strain of one call, abs(D), is above 1: the host is to take a smaller increment"
+    case (BAD_NONLOCAL_STRAIN)
+      message = "the nonlocal strain is negative, not finite, or 0 where the material strains"
     case default
       message = "unknown status"
     end select

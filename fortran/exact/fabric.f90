@@ -1,7 +1,8 @@
 !> The fabric equation (4.7) under a constant velocity gradient, solved exactly (docs/theory.md, section 2).
 !!
 !! With A = B/y, (4.7) is linear: the pair (B, y) follows
-!!   B' = W B - B W + c1 y S + c2 |D| B,   y' = -c3 B : S,   B(0) = A, y(0) = 1.
+!!   B' = W B - B W + c1 y S + c2 m B,   y' = -c3 B : S,   B(0) = A, y(0) = 1,
+!! with m = |D|, or the nonlocal strain m where there is a length.
 !! The Taylor series of its solution, B = sum_k B_k t^k and y = sum_k y_k t^k, gives A = B/y and A : S = -y'/(c3 y) anywhere in the
 !! increment, 0 <= t <= 1. The fabric blows up where y reaches 0.
 module granumat_fabric
@@ -23,7 +24,7 @@ module granumat_fabric
     real(dp) :: bound(LANES, 0:MAX_TERMS)      !! of the terms at t = 1, relative to the solution
     real(dp) :: factor(LANES, MAX_TERMS)       !! 1/k; 0 from the term on that a lane does not need
     real(dp) :: S(LANES, 5)                    !! deviatoric strain increment
-    real(dp) :: decay(LANES)                   !! c2 |D|
+    real(dp) :: decay(LANES)                   !! c2 m
     real(dp) :: spin(LANES, 3)
     real(dp) :: source, sink                   !! c1, -c3
     integer :: terms
@@ -32,27 +33,28 @@ module granumat_fabric
 contains
 
   !> A bound of the norm of the linear system's matrix, per increment: how fast anything in (4.7) can change.
-  pure function fabric_rate_bound(par, mod_D, w) result(rate)
+  pure function fabric_rate_bound(par, largest, w) result(rate)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: mod_D(LANES), w(LANES, 3)
+    real(dp), intent(in) :: largest(LANES), w(LANES, 3)       ! the larger of |D| and m; the spin
     real(dp) :: rate(LANES)
-    rate = (abs(par%c2) + sqrt(-2 * par%c1 * par%c3)) * mod_D + 2 * rotation_angle(w)
+    rate = (abs(par%c2) + sqrt(-2 * par%c1 * par%c3)) * largest + 2 * rotation_angle(w)
   end function fabric_rate_bound
 
   !> Solves (4.7) over one increment, to round-off for a fabric_rate_bound of at most 1.
-  pure subroutine solve_fabric(par, A, S, mod_D, w, solution)
+  pure subroutine solve_fabric(par, A, S, mod_D, nonlocal, w, solution)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: A(LANES, 5)      ! fabric at t = 0
     real(dp), intent(in) :: S(LANES, 5)      ! deviatoric strain increment
     real(dp), intent(in) :: mod_D(LANES)     ! |D| of the strain increment
+    real(dp), intent(in) :: nonlocal(LANES)  ! m
     real(dp), intent(in) :: w(LANES, 3)      ! spin increment
     type(fabric_solution), intent(out) :: solution
     real(dp) :: rate(LANES)
     integer :: k
 
-    rate = fabric_rate_bound(par, mod_D, w)
+    rate = fabric_rate_bound(par, max(mod_D, nonlocal), w)
     solution%S = S
-    solution%decay = par%c2 * mod_D
+    solution%decay = par%c2 * nonlocal
     solution%spin = w
     solution%source = par%c1
     solution%sink = -par%c3
@@ -61,7 +63,7 @@ contains
     solution%bound(:, 0) = 1
     do k = 1, MAX_TERMS
       solution%factor(:, k) = merge(1.0_dp / k, 0.0_dp, solution%bound(:, k - 1) >= SERIES_TOLERANCE)
-      call next_term(par, S, mod_D, w, solution%factor(:, k), solution%B(:, :, k - 1), solution%y(:, k - 1), &
+      call next_term(par, S, nonlocal, w, solution%factor(:, k), solution%B(:, :, k - 1), solution%y(:, k - 1), &
         solution%B(:, :, k), solution%y(:, k))
       solution%bound(:, k) = solution%bound(:, k - 1) * (rate / k)
       solution%terms = k
@@ -70,12 +72,12 @@ contains
   end subroutine solve_fabric
 
   !> The next coefficients of the series: factor, which is 1/k, times the right-hand side of the linear system.
-  pure subroutine next_term(par, S, mod_D, w, factor, B, y, next_B, next_y)
+  pure subroutine next_term(par, S, nonlocal, w, factor, B, y, next_B, next_y)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: S(LANES, 5), mod_D(LANES), w(LANES, 3), factor(LANES), B(LANES, 5), y(LANES)
+    real(dp), intent(in) :: S(LANES, 5), nonlocal(LANES), w(LANES, 3), factor(LANES), B(LANES, 5), y(LANES)
     real(dp), intent(out) :: next_B(LANES, 5), next_y(LANES)
 
-    next_B = times(factor, linear_fabric_rate(par, B, y, S, mod_D, w))
+    next_B = times(factor, linear_fabric_rate(par, B, y, S, nonlocal, w))
     next_y = -par%c3 * factor * contract(B, S)
   end subroutine next_term
 
@@ -131,11 +133,11 @@ contains
     A = times(1 / y, A)
   end subroutine fabric_at
 
-  !> The adjoint of the series: derivatives of a sum over k of g_B_k : B_k + g_y_k y_k by A, S, c2 |D| and W
+  !> The adjoint of the series: derivatives of a sum over k of g_B_k : B_k + g_y_k y_k by A, S, c2 m and W
   !! (docs/theory.md, section 7.7).
   !!
   !! With M the matrix of the linear system, (B_k, y_k) = M (B_(k-1), y_(k-1))/k, the adjoint q runs backward:
-  !!   q_(k-1) = M^T q_k/k + g_(k-1),  M^T (x, x_y) = (-(W x - x W) + c2 |D| x - c3 x_y S,  c1 S : x),
+  !!   q_(k-1) = M^T q_k/k + g_(k-1),  M^T (x, x_y) = (-(W x - x W) + c2 m x - c3 x_y S,  c1 S : x),
   !! and what depends on M is summed on the way, with (x, x_y) = q_k/k:
   !!   by_S += c1 y_(k-1) x - c3 x_y B_(k-1),   by_decay += x : B_(k-1),   by_spin += spin_derivative(x, B_(k-1)).
   !! Written out by component: array expressions of LANES x 5 cost 12 to 25 % more here.

@@ -1,6 +1,6 @@
 !> The elastic strain e_r: weights of the exponential integration of granumat_law's relaxation_rate (docs/theory.md, section 4).
 !!
-!! With ratio = |D|/e_r and u = 1 - t, the deviator at the end of an increment, rotations apart, is
+!! With ratio = |D|/e_r, with a length m/e_r, and u = 1 - t, the deviator at the end of an increment, rotations apart, is
 !!   sigma'(1) = exp(-ratio) sigma'(0) + integral of ratio exp(-ratio u) sigma'_model du.
 !! sigma'_model is interpolated in t by the polynomial through given places and the product with the kernel is integrated exactly.
 !! So every ratio is stable, and the limit e_r -> 0 is sigma'_model itself.
@@ -18,7 +18,7 @@ contains
 
   !> Weights of sigma'_model at distinct places u = 1 - t.
   pure function relaxation_weights(ratio, decay, u, degree, n) result(weights)
-    real(dp), intent(in) :: ratio(LANES), decay(LANES)       ! |D|/e_r and exp(-ratio)
+    real(dp), intent(in) :: ratio(LANES), decay(LANES)       ! |D|/e_r or m/e_r, and exp(-ratio)
     real(dp), intent(in) :: u(LANES, 0:MAX_DEGREE)
     real(dp), intent(in) :: degree(LANES)                    ! of the polynomial; places after so many have no weight
     integer, intent(in) :: n                                 ! the highest degree

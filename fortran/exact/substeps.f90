@@ -13,7 +13,7 @@ module granumat_substeps
   use granumat_quadrature, only: AT_END, AT_START, MAX_DEGREE, N_NODES, choose_places, exponential
   use granumat_relaxation, only: relaxation_weights
   use granumat_state, only: REALISABLE
-  use granumat_stress, only: model_deviator, pressure, pressure_factor, stress_deviator
+  use granumat_stress, only: nonlocal_deviator, pressure, pressure_factor, stress_deviator
   use granumat_tensors, only: contract, magnitude, matrix_times, rotation_angle, rotation_of_deviators, &
     small_rotation, times, times_spin
   implicit none (type, external)
@@ -27,7 +27,7 @@ module granumat_substeps
   ! bound of the error, over the pressure, of the model's stress interpolated by a line or a parabola instead of MAX_DEGREE
   real(dp), parameter :: INTERPOLATION_ERROR = 1.0e-12_dp
   real(dp), parameter :: LINE = 1 / 6.0_dp, PARABOLA = 1 / 120.0_dp       ! factors of the bound
-  real(dp), parameter :: STEEP_FROM = 2                  ! |D|/e_r of a substep from which the places crowd at its end
+  real(dp), parameter :: STEEP_FROM = 2                  ! m/e_r of a substep from which the places crowd at its end
   ! with e_r > 0 substeps are smaller by this: the interpolation in the kernel has half the order of Gauss's rule
   real(dp), parameter :: RELAXATION_REFINEMENT = 1.5_dp
   ! in the critical-state closure only spin and volume strain change the model's stress, and these rates are tight
@@ -56,14 +56,14 @@ module granumat_substeps
   !> A substep, 0 <= t <= 1, with everything that its adjoint needs: at the quadrature nodes, and at the places of choose_places, of
   !! which e_r = 0 needs the end, and e_r > 0 all up to the last one.
   type, public :: substep_solution
-    real(dp) :: share(LANES), mod_D(LANES), tr_D(LANES), S(LANES, 5), w(LANES, 3)
+    real(dp) :: share(LANES), mod_D(LANES), nonlocal(LANES), tr_D(LANES), S(LANES, 5), w(LANES, 3)
     real(dp), dimension(LANES, N_NODES) :: t, dt, phi, y, A_S, growth, integrand
     real(dp), dimension(LANES, 0:MAX_DEGREE) :: t_place, phi_place, excess
     real(dp) :: integrals(LANES, N_NODES, AT_END:MAX_DEGREE)     !! of choose_places
-    real(dp), dimension(LANES, AT_END:MAX_DEGREE) :: y_place, decay_place    !! decay_place = exp(-d2 |D| t)
+    real(dp), dimension(LANES, AT_END:MAX_DEGREE) :: y_place, decay_place    !! decay_place = exp(-d2 m t)
     real(dp) :: A(LANES, 5, 0:MAX_DEGREE)
     ! with e_r > 0
-    real(dp) :: degree(LANES), decay(LANES)                                  !! decay = exp(-|D|/e_r)
+    real(dp) :: degree(LANES), decay(LANES)                                  !! decay = exp(-m/e_r)
     real(dp) :: p(LANES, 0:MAX_DEGREE), dev_over_p(LANES, 5, 0:MAX_DEGREE)   !! the model's pressure, and its deviator over pressure
     real(dp) :: weights(LANES, 0:MAX_DEGREE)                                 !! of granumat_relaxation
     real(dp) :: R(LANES, 5, 5, 0:MAX_DEGREE)                                 !! rotations of deviators to the end
@@ -98,7 +98,7 @@ contains
 
     if (par%closure == CRITICAL .and. .not. par%elastic_strain > 0) then
       call critical_state(par, inc%S_hat, phi_end, x%A, x%excess)
-      x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
+      x%dev = deviator_at(par, inc, x%A, x%excess)
       record%solution%share = 1
       record%solution%t_place(:, AT_END) = 1
       record%solution%phi_place(:, AT_END) = phi_end
@@ -146,7 +146,7 @@ contains
       end if
       log_phi_next = log_phi_end + next_remainder / max(share, tiny(1.0_dp)) * (log_phi_start - log_phi_end)
       degree = 1
-      if (deviator_relaxes(par)) degree = degree_needed(par, share_next * graded_rate, share_next * inc%mod_D)
+      if (deviator_relaxes(par)) degree = degree_needed(par, share_next * graded_rate, share_next * inc%nonlocal)
       if (record%all_wanted) call add_start(record, substep_start(x, share_next, log_phi_next, degree))
       call take_substep(par, inc, share_next, log_phi_next, degree, x, record%solution, status)
       remainder = merge(next_remainder, 0.0_dp, status == OK)
@@ -160,16 +160,17 @@ contains
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: M(LANES, 5), share(LANES)
-    real(dp) :: cut(LANES), M_S(LANES), distance(LANES)
+    real(dp) :: cut(LANES), projection(LANES), largest(LANES), distance(LANES)
     type(mobilisation_solution) :: solution
 
-    ! |M|, |S^| <= 1: M : S^ falls by the spin alone while it is positive, by 4 times its angle at most
+    ! with |M|, |S/m| <= `largest`, |S^| <= 1, the projection falls by the spin alone while it is positive, by 4 times its angle
     cut = share
-    M_S = contract(M, inc%S_hat)
-    distance = max(M_S, -M_S - 4 / par%elastic_strain * share * inc%mod_D) - 4 * share * rotation_angle(inc%spin)
+    projection = contract(M, inc%S_hat) + (1 - inc%R) * contract(inc%S_hat, inc%S_hat)
+    largest = 4 * share * max(1.0_dp, inc%R, magnitude(M))
+    distance = max(projection, -projection - largest * inc%nonlocal / par%elastic_strain) - largest * rotation_angle(inc%spin)
     if (all(distance > 0 .or. share <= 0)) return
-    call solve_mobilisation(par, M, inc%S_hat, share * inc%mod_D, times_spin(share, inc%spin), solution)
-    cut = share * share_to_kink(solution, inc%S_hat)
+    call solve_mobilisation(par, M, inc%S_hat, inc%R, share * inc%nonlocal, times_spin(share, inc%spin), solution)
+    cut = share * share_to_kink(solution, inc%S_hat, inc%R)
   end function up_to_kink
 
   !> Adds the start of a substep to a record.
@@ -196,18 +197,19 @@ contains
   !> A bound, per increment, of how fast A, its growth c3 (A : S) A, Z2, phi and M can change where the law is smooth; in the
   !! critical-state closure, of the model's stress in a frame that rotates with the spin.
   !!
-  !! The factor 2 keeps d2 |D|, |tr D| and the angle of a substep at or below SUBSTEP_RATE/2 = 0.2, up to where `exponential` and
+  !! The factor 2 keeps d2 m, |tr D| and the angle of a substep at or below SUBSTEP_RATE/2 = 0.2, up to where `exponential` and
   !! `rotation_series` are exact to round-off.
   pure function rate_bound(par, inc, mod_A) result(rate)
     type(material_parameters), intent(in) :: par
     type(increment), intent(in) :: inc
     real(dp), intent(in) :: mod_A(LANES)
-    real(dp) :: rate(LANES)
+    real(dp) :: rate(LANES), largest(LANES)
     if (par%closure == CRITICAL) then
       rate = CRITICAL_REFINEMENT * 2 * (rotation_angle(inc%spin) + abs(inc%tr_D))
     else
-      rate = fabric_rate_bound(par, inc%mod_D, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * inc%mod_D
-      if (friction_turns(par)) rate = rate + inc%mod_D / par%elastic_strain
+      largest = max(inc%mod_D, inc%nonlocal)
+      rate = fabric_rate_bound(par, largest, inc%spin) + 2 * (par%c3 * mod_A + max(par%d2, LARGEST_TRACE)) * largest
+      if (friction_turns(par)) rate = rate + inc%nonlocal / par%elastic_strain
     end if
   end function rate_bound
 
@@ -235,7 +237,8 @@ contains
       if (par%closure == CRITICAL) return
       near_isotropy = abs(par%c1) * inc%mod_D / max(mod_A, SMALLEST_FABRIC)
       where (mod_A < ISOTROPIC_BELOW) near_isotropy = 0
-      near_jamming = ((abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess)) * inc%mod_D + abs(par%d3 * inc%tr_D)) &
+      near_jamming = ((abs(par%d1) * (2 * mod_A - par%chi) + par%d2 * abs(x%excess)) * max(inc%mod_D, inc%nonlocal) &
+        + abs(par%d3 * inc%tr_D)) &
         / max(abs(x%excess), SMALLEST_EXCESS)
       rate = max(rate, SUBSTEP_RATE * max(4 * near_isotropy, 2 * near_jamming))
     end if
@@ -243,13 +246,13 @@ contains
 
   !> The degree of the polynomial that interpolates the model's stress: the lowest that keeps the error of a substep with e_r > 0
   !! below INTERPOLATION_ERROR, the highest in a substep of usual size (docs/theory.md, section 5.5).
-  pure function degree_needed(par, rate, mod_D) result(degree)
+  pure function degree_needed(par, rate, nonlocal) result(degree)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: rate(LANES)           ! kink_rate_bound times share
-    real(dp), intent(in) :: mod_D(LANES)          ! |D| of the substep
+    real(dp), intent(in) :: nonlocal(LANES)       ! m of the substep
     real(dp) :: degree(LANES), ratio(LANES)
 
-    ratio = mod_D / par%elastic_strain
+    ratio = nonlocal / par%elastic_strain
     degree = MAX_DEGREE
     where (PARABOLA * ratio * rate**3 * (ratio + rate) < INTERPOLATION_ERROR .and. ratio < STEEP_FROM) degree = 2
     where (LINE * ratio * rate**2 < INTERPOLATION_ERROR) degree = 1
@@ -270,12 +273,13 @@ contains
 
     step%share = share
     step%mod_D = share * inc%mod_D
+    step%nonlocal = share * inc%nonlocal
     step%tr_D = share * inc%tr_D
     step%S = times(step%mod_D, inc%S_hat)
     step%w = times_spin(share, inc%spin)
     step%degree = degree
     step%last = nint(maxval(degree))
-    call choose_places(step%mod_D / (STEEP_FROM * max(par%elastic_strain, tiny(1.0_dp))), step%last, places, step%integrals)
+    call choose_places(step%nonlocal / (STEEP_FROM * max(par%elastic_strain, tiny(1.0_dp))), step%last, places, step%integrals)
     call quadrature_nodes(x%log_phi, log_phi_end, places, step%last, step%t, step%dt, step%t_place)
     if (par%closure == CRITICAL) then
       do i = AT_START, step%last
@@ -284,7 +288,7 @@ contains
       end do
     else
       call evolve_microstructure(par, x, step, status)
-      if (friction_turns(par)) call mobilise(par, inc%S_hat, x%dev, step)
+      if (friction_turns(par)) call mobilise(par, inc, x%dev, step)
     end if
     x%phi = x%phi * exponential(-step%tr_D)
     x%log_phi = log_phi_end
@@ -295,9 +299,21 @@ contains
     else if (friction_turns(par)) then
       x%dev = direction_at_end(step%mobilisation)
     else
-      x%dev = model_deviator(par, x%A, inc%S_hat, inc%tr_direction, x%excess)
+      x%dev = deviator_at(par, inc, x%A, x%excess)
     end if
   end subroutine take_substep
+
+  !> The stress deviator that the model has in an increment.
+  pure function deviator_at(par, inc, A, excess) result(dev)
+    type(material_parameters), intent(in) :: par
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: A(LANES, 5), excess(LANES)
+    real(dp) :: dev(LANES, 5), p(LANES)
+
+    p = pressure(par, pressure_factor(par, A, inc%tr_direction), excess)
+    dev = stress_deviator(par, A, inc%S_hat, p)
+    if (inc%has_length) dev = nonlocal_deviator(par, A, inc%R, p, dev)
+  end function deviator_at
 
   !> Fabric and coordination number of a substep.
   pure subroutine evolve_microstructure(par, x, step, status)
@@ -310,7 +326,7 @@ contains
     do i = 1, N_NODES
       step%phi(:, i) = x%phi * exponential(-step%tr_D * step%t(:, i))
     end do
-    call solve_fabric(par, x%A, step%S, step%mod_D, step%w, step%fabric)
+    call solve_fabric(par, x%A, step%S, step%mod_D, step%nonlocal, step%w, step%fabric)
     call projections_at(par, step%fabric, step%t, step%y, step%A_S)
     step%A(:, :, AT_START) = x%A
     step%excess(:, AT_START) = x%excess
@@ -319,20 +335,21 @@ contains
     end do
     where (status == OK .and. .not. (step%y_place(:, AT_END) > 0 .and. magnitude(step%A(:, :, AT_END)) < REALISABLE)) &
       status = FABRIC_BLOWS_UP
-    call integrate_coordination(par, step%A_S, magnitude(step%S), step%mod_D, step%tr_D, step%phi, step%t, step%dt, &
+    call integrate_coordination(par, step%A_S, magnitude(step%S), step%nonlocal, step%tr_D, step%phi, step%t, step%dt, &
       step%integrals, step%t_place, step%last, step%growth, step%integrand, step%decay_place, step%excess)
   end subroutine evolve_microstructure
 
   !> The mobilised direction in a substep, its share at the nodes, and Z2 - Zc at the end with it.
-  pure subroutine mobilise(par, S_hat, M, step)
+  pure subroutine mobilise(par, inc, M, step)
     type(material_parameters), intent(in) :: par
-    real(dp), intent(in) :: S_hat(LANES, 5), M(LANES, 5)           ! M at the start
+    type(increment), intent(in) :: inc
+    real(dp), intent(in) :: M(LANES, 5)           ! at the start
     type(substep_solution), intent(inout) :: step
-    real(dp) :: idle(LANES)                       ! what d1 chi (1 - m) |S|, by which (4.8) differs, adds to the integrand
+    real(dp) :: idle(LANES)                       ! what d1 chi (1 - share) |S|, by which (4.8) differs, adds to the integrand
     integer :: i
 
-    call solve_mobilisation(par, M, S_hat, step%mod_D, step%w, step%mobilisation)
-    step%mobilised = shares_at(step%mobilisation, S_hat, step%t)
+    call solve_mobilisation(par, M, inc%S_hat, inc%R, step%nonlocal, step%w, step%mobilisation)
+    step%mobilised = shares_at(step%mobilisation, inc%S_hat, inc%R, step%t)
     do i = 1, N_NODES
       idle = step%growth(:, i) * step%dt(:, i) * par%d1 * par%chi * (1 - step%mobilised(:, i)) * magnitude(step%S)
       step%integrand(:, i) = step%integrand(:, i) + idle
@@ -351,7 +368,7 @@ contains
     integer :: i
 
     one = 1
-    ratio = step%mod_D / par%elastic_strain
+    ratio = step%nonlocal / par%elastic_strain
     do i = AT_START, step%last
       u(:, i) = 1 - step%t_place(:, i)
     end do
@@ -363,6 +380,7 @@ contains
     do i = AT_START, step%last
       step%p(:, i) = pressure(par, pressure_factor(par, step%A(:, :, i), inc%tr_direction), step%excess(:, i))
       step%dev_over_p(:, :, i) = stress_deviator(par, step%A(:, :, i), inc%S_hat, one)
+      if (inc%has_length) step%dev_over_p(:, :, i) = nonlocal_deviator(par, step%A(:, :, i), inc%R, one, step%dev_over_p(:, :, i))
       step%rotated(:, :, i) = times(step%p(:, i), step%dev_over_p(:, :, i))
       if (i > AT_END) step%R(:, :, :, i) = rotation_of_deviators(small_rotation(times_spin(u(:, i), step%w)))
       if (i /= AT_END) step%rotated(:, :, i) = matrix_times(step%R(:, :, :, i), step%rotated(:, :, i))

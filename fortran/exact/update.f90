@@ -4,8 +4,9 @@
 !! consistent_tangent (granumat_tangent). LANES points go side by side.
 module granumat_update
   use granumat_kinds, only: dp, LANES
-  use granumat_status, only: OK, NOT_FINITE, BAD_VOLUME_FRACTION, FABRIC_BLOWS_UP, TENSILE_PRESSURE, RESULT_NOT_FINITE
-  use granumat_increment, only: increment, to_increment
+  use granumat_status, only: OK, NOT_FINITE, BAD_NONLOCAL_STRAIN, BAD_VOLUME_FRACTION, FABRIC_BLOWS_UP, TENSILE_PRESSURE, &
+    RESULT_NOT_FINITE
+  use granumat_increment, only: increment, make_nonlocal, to_increment
   use granumat_parameters, only: material_parameters, friction_turns
   use granumat_state, only: lane_state, check_state, is_finite, is_realisable
   use granumat_stress, only: mobilised_deviator, pressure, pressure_factor, to_evolving, to_excess
@@ -21,7 +22,7 @@ module granumat_update
 contains
 
   !> Brings states over their strain increments. Where the status is not OK, the new state is the old one and the tangent is 0.
-  pure subroutine update(par, old, strain, spin, new, status, n_adjoints, tangent, unloads)
+  pure subroutine update(par, old, strain, spin, new, status, n_adjoints, tangent, unloads, nonlocal, by_nonlocal)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: strain(LANES, 6)    ! increments: 11 22 33 and engineering shears 12 13 23
@@ -31,19 +32,31 @@ contains
     integer, intent(in), optional :: n_adjoints            ! 1 ... 6: of the pressure, and of the deviator's first components
     real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS)    ! d stress_i / d (strain_j, spin_j)
     logical, intent(in), optional :: unloads               ! the tangent at D = 0 is that of a strain against the last direction
+    real(dp), intent(in), optional :: nonlocal(LANES)      ! the nonlocal strain m of a material with a length
+    real(dp), intent(out), optional :: by_nonlocal(LANES, 6)           ! with the tangent: d stress_i / d m
     type(increment) :: inc
     logical :: moves(LANES)
-    real(dp) :: probe
+    real(dp) :: m(LANES), probe, by_m(LANES, 6)
     integer :: i
 
     status = status_before(old, strain, spin)
     call to_increment(strain, spin, status == OK, inc)
     moves = inc%mod_D > 0
+    if (present(nonlocal)) then
+      where (status == OK .and. .not. (nonlocal >= 0 .and. nonlocal <= huge(m) .and. (nonlocal > 0 .or. .not. moves))) &
+        status = BAD_NONLOCAL_STRAIN
+      m = merge(nonlocal, 0.0_dp, status == OK)
+      moves = moves .or. m > 0
+    end if
+    probe = PROBE_STRAIN
+    if (present(unloads)) probe = merge(-PROBE_STRAIN, PROBE_STRAIN, unloads)
+    if (present(tangent) .and. .not. all(moves)) then
+      call to_increment(strain_or_probe(old, strain, moves, probe), spin, status == OK, inc)
+      if (present(nonlocal)) m = merge(m, inc%mod_D, moves)
+    end if
+    if (present(nonlocal)) call make_nonlocal(m, old%direction, inc)
     if (present(tangent)) then
-      probe = PROBE_STRAIN
-      if (present(unloads)) probe = merge(-PROBE_STRAIN, PROBE_STRAIN, unloads)
-      if (.not. all(moves)) call to_increment(strain_or_probe(old, strain, moves, probe), spin, status == OK, inc)
-      call deform(par, old, inc, new, status, n_adjoints, tangent)
+      call deform(par, old, inc, new, status, n_adjoints, tangent, by_m)
     else
       call deform(par, old, inc, new, status)
     end if
@@ -51,7 +64,9 @@ contains
     if (.not. present(tangent)) return
     do i = 1, LANES
       if (status(i) /= OK) tangent(i, :, :) = 0
+      if (status(i) /= OK) by_m(i, :) = 0
     end do
+    if (present(by_nonlocal)) by_nonlocal = by_m
   end subroutine update
 
   !> Whether states and increments can be integrated, as a status.
@@ -82,15 +97,15 @@ contains
     end do
   end function strain_or_probe
 
-  !> The update where D /= 0.
-  pure subroutine deform(par, old, inc, new, status, n_adjoints, tangent)
+  !> The update where D or m is not 0.
+  pure subroutine deform(par, old, inc, new, status, n_adjoints, tangent, by_nonlocal)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     type(lane_state), intent(out) :: new
     integer, intent(inout) :: status(LANES)
     integer, intent(in), optional :: n_adjoints
-    real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS)
+    real(dp), intent(out), optional :: tangent(LANES, 6, N_COLUMNS), by_nonlocal(LANES, 6)
     type(internal_state) :: x
     type(substep_record) :: record
 
@@ -99,7 +114,7 @@ contains
     where (status == OK .and. .not. (new%volume_fraction > 0 .and. new%volume_fraction < 1)) status = BAD_VOLUME_FRACTION
     record%all_wanted = present(tangent)
     call integrate(par, inc, new%volume_fraction, x, status, record)
-    if (present(tangent)) call consistent_tangent(par, inc, x, record, n_adjoints, tangent)
+    if (present(tangent)) call consistent_tangent(par, inc, x, record, n_adjoints, tangent, by_nonlocal)
     call to_state(par, old, inc, x, new, status)
   end subroutine deform
 
@@ -144,16 +159,16 @@ contains
     end if
   end subroutine to_state
 
-  !> The trace of the direction where that follows D^ over the strain e_r, as its deviator M does.
+  !> The trace of the direction where that follows D^, or D/m, over the strain e_r, as its deviator M does.
   pure function followed_trace(par, old, inc) result(tr)
     type(material_parameters), intent(in) :: par
     type(lane_state), intent(in) :: old
     type(increment), intent(in) :: inc
     real(dp) :: tr(LANES)
-    tr = inc%tr_direction + exp(-inc%mod_D / par%elastic_strain) * (trace(old%direction) - inc%tr_direction)
+    tr = inc%tr_direction + exp(-inc%nonlocal / par%elastic_strain) * (trace(old%direction) - inc%tr_direction)
   end function followed_trace
 
-  !> Completes new states: those where D = 0, and those where the update failed, which stay the old ones.
+  !> Completes new states: those at rest, and those where the update failed, which stay the old ones.
   pure subroutine complete(old, spin, moves, new, status)
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: spin(LANES, 3)
@@ -166,7 +181,7 @@ contains
     if (any(status /= OK)) call replace(status /= OK, old, new)
   end subroutine complete
 
-  !> Where D = 0, states rotate with the body and the stress holds; without spin they stay the same to the last bit.
+  !> Where nothing moves, states rotate with the body and the stress holds; without spin they stay the same to the last bit.
   pure subroutine rotate_at_rest(old, spin, moves, new)
     type(lane_state), intent(in) :: old
     real(dp), intent(in) :: spin(LANES, 3)

@@ -174,6 +174,30 @@ contains
     call update_batch(par, old, gradient, threads, new, status, tangent)
   end subroutine granumat_update_states_with_tangent
 
+  !> With a length: the increment's nonlocal strains are given.
+  subroutine granumat_update_nonlocal_states(n, threads, par, old, gradient, nonlocal, new, status) bind(c)
+    integer(c_int), value, intent(in) :: n, threads
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: old(n)
+    real(c_double), intent(in) :: gradient(3, 3, n), nonlocal(n)
+    type(material_state), intent(out) :: new(n)
+    integer(c_int), intent(out) :: status(n)
+    call update_batch(par, old, gradient, threads, new, status, nonlocal=nonlocal)
+  end subroutine granumat_update_nonlocal_states
+
+  !> The same with the tangent, and the derivative of the stress by the nonlocal strain.
+  subroutine granumat_update_nonlocal_states_with_tangent(n, threads, rows, columns, par, old, gradient, nonlocal, new, status, &
+      tangent, by_nonlocal) bind(c)
+    integer(c_int), value, intent(in) :: n, threads, rows, columns
+    type(material_parameters), intent(in) :: par
+    type(material_state), intent(in) :: old(n)
+    real(c_double), intent(in) :: gradient(3, 3, n), nonlocal(n)
+    type(material_state), intent(out) :: new(n)
+    integer(c_int), intent(out) :: status(n)
+    real(c_double), intent(out) :: tangent(columns, rows, n), by_nonlocal(rows, n)
+    call update_batch(par, old, gradient, threads, new, status, tangent, nonlocal, by_nonlocal)
+  end subroutine granumat_update_nonlocal_states_with_tangent
+
   !> By a method that is compared with the exact update: numbers of the method and of the spin as in granumat_methods.
   subroutine granumat_update_states_by_method(n, threads, method, spin, tolerance, par, old, gradient, new, status) bind(c)
     integer(c_int), value, intent(in) :: n, threads, method, spin

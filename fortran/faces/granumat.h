@@ -19,7 +19,7 @@ enum granumat_contact { GRANUMAT_HOOKEAN, GRANUMAT_HERTZIAN };
 enum granumat_calibration { GRANUMAT_TABLE_1, GRANUMAT_TEXT, GRANUMAT_FIGURE_16 };
 
 /* What a status says; granumat_status_message has the words. From GRANUMAT_BAD_LAYOUT on they are the UMAT's,
- * but for GRANUMAT_BAD_INITIAL_STATE. */
+ * but for GRANUMAT_BAD_INITIAL_STATE and GRANUMAT_BAD_NONLOCAL_STRAIN. */
 enum granumat_status {
     GRANUMAT_OK,
     GRANUMAT_NOT_FINITE,
@@ -37,7 +37,8 @@ enum granumat_status {
     GRANUMAT_BAD_INITIAL_STATE,
     GRANUMAT_BAD_DEFORMATION,
     GRANUMAT_PLANE_STRESS,
-    GRANUMAT_STRAIN_TOO_LARGE
+    GRANUMAT_STRAIN_TOO_LARGE,
+    GRANUMAT_BAD_NONLOCAL_STRAIN
 };
 
 /* How increments are integrated, by those procedures that compare methods, and where the spin is. */
@@ -122,6 +123,16 @@ void granumat_update_states(int n, int threads, const struct granumat_parameters
 void granumat_update_states_with_tangent(int n, int threads, int rows, int columns, const struct granumat_parameters *par,
                                          const struct granumat_state *old, const double (*gradient)[3][3],
                                          struct granumat_state *new_states, int *status, double *tangent);
+
+/* The two with a length (docs/theory.md, section 12): nonlocal[i] is the nonlocal strain m of point i's increment, positive where
+ * the point strains, and by_nonlocal[i][j] = d stress_j / d m, j < rows. nonlocal[i] = abs(D) is the update without a length. */
+void granumat_update_nonlocal_states(int n, int threads, const struct granumat_parameters *par, const struct granumat_state *old,
+                                     const double (*gradient)[3][3], const double *nonlocal, struct granumat_state *new_states,
+                                     int *status);
+void granumat_update_nonlocal_states_with_tangent(int n, int threads, int rows, int columns, const struct granumat_parameters *par,
+                                                  const struct granumat_state *old, const double (*gradient)[3][3],
+                                                  const double *nonlocal, struct granumat_state *new_states, int *status,
+                                                  double *tangent, double *by_nonlocal);
 
 /* As granumat_update_states by another method, to compare with; tolerance, in (0, 1), is that of GRANUMAT_BOGACKI_SHAMPINE. */
 void granumat_update_states_by_method(int n, int threads, int method, int spin, double tolerance,

@@ -6,9 +6,9 @@ module granumat_c
   private
   public :: granumat_parameters_from_friction, granumat_complete_parameters, granumat_constant_range, granumat_status_message, &
     granumat_isotropic_state, granumat_steady_states, granumat_evaluate_stress, granumat_update_states, &
-    granumat_update_states_with_tangent, granumat_update_states_by_method, granumat_follow_path, granumat_transverse_modulus, &
-    granumat_response, granumat_least_acoustic, granumat_element_gradients, granumat_element_forces, granumat_element_stiffness, &
-    granumat_arithmetic
+    granumat_update_states_with_tangent, granumat_update_nonlocal_states, granumat_update_nonlocal_states_with_tangent, &
+    granumat_update_states_by_method, granumat_follow_path, granumat_transverse_modulus, granumat_response, &
+    granumat_least_acoustic, granumat_element_gradients, granumat_element_forces, granumat_element_stiffness, granumat_arithmetic
 
   integer(c_int), parameter, public :: GRANUMAT_CRITICAL = 0, GRANUMAT_BASIC = 1, GRANUMAT_N2 = 2, GRANUMAT_FULL = 3, &
     GRANUMAT_KINEMATIC = 4, GRANUMAT_MOBILISED = 5, GRANUMAT_MOBILISED_PRESSURE = 6
@@ -109,6 +109,33 @@ module granumat_c
       integer(c_int), intent(out) :: status(n)
       real(c_double), intent(out) :: tangent(columns, rows, n)        ! (k, j) = d stress_j/d strain_k
     end subroutine granumat_update_states_with_tangent
+
+    subroutine granumat_update_nonlocal_states(n, threads, par, old, gradient, nonlocal, new, status) bind(c)
+      import :: c_double, c_int, granumat_parameters, granumat_state
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: n, threads
+      type(granumat_parameters), intent(in) :: par
+      type(granumat_state), intent(in) :: old(n)
+      real(c_double), intent(in) :: gradient(3, 3, n)                 ! (k, j) = du_j/dx_k
+      real(c_double), intent(in) :: nonlocal(n)
+      type(granumat_state), intent(out) :: new(n)
+      integer(c_int), intent(out) :: status(n)
+    end subroutine granumat_update_nonlocal_states
+
+    subroutine granumat_update_nonlocal_states_with_tangent(n, threads, rows, columns, par, old, gradient, nonlocal, new, status, &
+        tangent, by_nonlocal) bind(c)
+      import :: c_double, c_int, granumat_parameters, granumat_state
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: n, threads, rows, columns
+      type(granumat_parameters), intent(in) :: par
+      type(granumat_state), intent(in) :: old(n)
+      real(c_double), intent(in) :: gradient(3, 3, n)                 ! (k, j) = du_j/dx_k
+      real(c_double), intent(in) :: nonlocal(n)
+      type(granumat_state), intent(out) :: new(n)
+      integer(c_int), intent(out) :: status(n)
+      real(c_double), intent(out) :: tangent(columns, rows, n)        ! (k, j) = d stress_j/d strain_k
+      real(c_double), intent(out) :: by_nonlocal(rows, n)             ! (j) = d stress_j/d nonlocal
+    end subroutine granumat_update_nonlocal_states_with_tangent
 
     subroutine granumat_update_states_by_method(n, threads, method, spin, tolerance, par, old, gradient, new, status) bind(c)
       import :: c_double, c_int, granumat_parameters, granumat_state

@@ -2,7 +2,8 @@
 !!
 !! Everything else integrates, linearises or compares what stands here; the stress (4.1)-(4.6) is in granumat_stress. Rates are per
 !! unit of t, 0 <= t <= 1 over a strain increment, so S, |D|, W and tr D are those of the increment. All are linear in S, |S|, |D|,
-!! W and tr D. docs/theory.md, section 1, has the conventions and where this departs from the print.
+!! W and tr D. With a length the nonlocal strain m takes the place of |D| here (docs/theory.md, section 12). Section 1 there has the
+!! conventions and where this departs from the print.
 module granumat_law
   use granumat_kinds, only: dp, LANES
   use granumat_parameters, only: material_parameters, pressure_evolves
@@ -31,8 +32,8 @@ contains
     dot_B = corotate(w, B) + times(par%c1 * y, S) + times(par%c2 * mod_D, B)
   end function linear_fabric_rate
 
-  !> (4.8): dZ2/dt = d1 (A : S - chi |S|) + d2 |D| (f - Z2) + d3 tr D, with f - Z2 as `missing`; m |S| for |S| where friction
-  !! turns, and the same for what evolves in place of Z2 - Zc where that is the pressure.
+  !> (4.8): dZ2/dt = d1 (A : S - chi |S|) + d2 |D| (f - Z2) + d3 tr D, with f - Z2 as `missing`; share |S| for |S| where
+  !! friction turns, and the same for what evolves in place of Z2 - Zc where that is the pressure.
   pure function coordination_rate(par, A_S, mod_S, mod_D, missing, tr_D) result(dot_Z2)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in), dimension(LANES) :: A_S, mod_S, mod_D, missing, tr_D
@@ -91,7 +92,7 @@ contains
   end function volume_fraction_of
 
   !> The elastic strain e_r > 0: d sigma'/dt = W sigma' - sigma' W + |D| (sigma'_model - sigma')/e_r. With e_r = 0, the paper,
-  !! sigma' is sigma'_model. The mobilised direction M of friction follows S^ in the same way.
+  !! sigma' is sigma'_model. The mobilised direction M of friction follows S^, with a length S/m, in the same way.
   pure function relaxation_rate(par, dev, model, mod_D, w) result(dot_dev)
     type(material_parameters), intent(in) :: par
     real(dp), intent(in) :: dev(LANES, 5), model(LANES, 5), mod_D(LANES), w(LANES, 3)
@@ -99,7 +100,7 @@ contains
     dot_dev = corotate(w, dev) + times(mod_D / par%elastic_strain, model - dev)
   end function relaxation_rate
 
-  !> The mobilised share of friction, max(0, M : S^/2).
+  !> The mobilised share of friction, max(0, M : S^/2); with a length M + S^ - S/m stands for M.
   pure function mobilised_share(M_S) result(share)
     real(dp), intent(in) :: M_S(LANES)        ! M : S^
     real(dp) :: share(LANES)

@@ -10,7 +10,7 @@ module granumat_stress
   implicit none (type, external)
   private
   public :: evaluate, pressure_factor, pressure, pressure_slopes, friction, stress_deviator, model_deviator, deviator_slopes, &
-    mobilised_deviator, mobilised_slopes, to_evolving, to_excess
+    nonlocal_deviator, nonlocal_slopes, mobilised_deviator, mobilised_slopes, to_evolving, to_excess
 
   !> Slopes of the pressure: dp = A (A : dA) + trace d(tr D^) + excess d(Z2 - Zc), or what evolves in place of Z2 - Zc.
   type, public :: pressure_derivative
@@ -142,6 +142,31 @@ contains
       by_S_hat(:, j, j) = by_S_hat(:, j, j) + across
     end do
   end subroutine deviator_slopes
+
+  !> The stress deviator with a length, from that without one: S/m = R S^, R = |D|/m, takes the place of S^ everywhere but in the
+  !! projections A : S^, so all of it but -a4 p A is multiplied by R (docs/theory.md, section 12).
+  pure function nonlocal_deviator(par, A, R, p, dev) result(nonlocal)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: A(LANES, 5), R(LANES), p(LANES)
+    real(dp), intent(in) :: dev(LANES, 5)         ! of stress_deviator
+    real(dp) :: nonlocal(LANES, 5)
+    nonlocal = times(R, dev) + times((R - 1) * par%a4 * p, A)
+  end function nonlocal_deviator
+
+  !> The derivatives of nonlocal_deviator by A, from those of stress_deviator; those by S^ are just multiplied by R.
+  pure subroutine nonlocal_slopes(par, R, p, by_A)
+    type(material_parameters), intent(in) :: par
+    real(dp), intent(in) :: R(LANES), p(LANES)
+    real(dp), intent(inout) :: by_A(LANES, 5, 5)
+    integer :: i, j
+
+    do j = 1, 5
+      do i = 1, 5
+        by_A(:, i, j) = R * by_A(:, i, j)
+      end do
+      by_A(:, j, j) = by_A(:, j, j) + (R - 1) * par%a4 * p
+    end do
+  end subroutine nonlocal_slopes
 
   !> The deviatoric stress over the pressure where friction has a direction M of its own, tension positive:
   !!   -sigma' = p [-b1 M - 2 b2 A + (2 a3/lambda) (A A - (2/3) |A|^2 I)].

@@ -178,7 +178,7 @@ contains
       d_dot_A = fabric_rate(par, A, d_S, d_mod, no_spin)                 ! the rates are linear in S, |S|, |D| and tr D
       mod_S = magnitude(S_hat)
       d_mod_S = contract(S_hat, d_S) / (2 * max(mod_S, tiny(d_mod)))
-      if (friction_turns(par)) then               ! of m |S| = (M : S) |S|/(2 |D|), where that is positive
+      if (friction_turns(par)) then               ! of share |S| = (M : S) |S|/(2 |D|), where that is positive
         share = mobilised_share(contract(M, S_hat))
         d_mod_S = merge(contract(M, d_S) / 2 * mod_S + share * (d_mod_S - mod_S * d_mod), 0.0_dp, share > 0)
       end if

@@ -59,6 +59,20 @@ def update_with_tangent(par: np.ndarray, old: np.ndarray, gradients: np.ndarray,
     _core.granumat_update_states_with_tangent(threads, par, numbers(old), gradients, numbers(new), status, tangent)
 
 
+def update_nonlocal(par: np.ndarray, old: np.ndarray, gradients: np.ndarray, nonlocal_strain: np.ndarray, new: np.ndarray,
+                    status: np.ndarray, threads: int) -> None:
+    """As update, with the nonlocal strains (n,) of the increments."""
+    _core.granumat_update_nonlocal_states(threads, par, numbers(old), gradients, nonlocal_strain, numbers(new), status)
+
+
+def update_nonlocal_with_tangent(par: np.ndarray, old: np.ndarray, gradients: np.ndarray, nonlocal_strain: np.ndarray,
+                                 new: np.ndarray, status: np.ndarray, tangent: np.ndarray, by_nonlocal: np.ndarray,
+                                 threads: int) -> None:
+    """As update_with_tangent and update_nonlocal; also writes the stress by the nonlocal strain, (n, 6), in plane strain (n, 4)."""
+    _core.granumat_update_nonlocal_states_with_tangent(threads, par, numbers(old), gradients, nonlocal_strain, numbers(new), status,
+                                                       tangent, by_nonlocal)
+
+
 def update_by_method(par: np.ndarray, scheme: Scheme, old: np.ndarray, gradients: np.ndarray, new: np.ndarray, status: np.ndarray,
                      threads: int) -> None:
     """As update, by a scheme that is compared with the exact update."""

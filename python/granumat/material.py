@@ -38,6 +38,7 @@ DERIVED = ("chi", "kappa", "lambda", "fabric_limit")    # (A 7)-(A 9), and abs(A
 TRACE_TOLERANCE = 1e-12         # of a fabric that counts as traceless
 DIRECTION_TOLERANCE = 1e-9      # of a direction's magnitude 1
 PRESSURE_TOLERANCE = 1e-6       # of a state's pressure against the law's for its microstructure, relative
+MODULUS_FOR_LENGTH = {2: 0.018, 3: 0.004}   # eta_t above which short waves are bounded with a length (docs/well-posedness.md)
 MOST_THREADS = 1024             # more than a node has processors; tens of thousands exhaust the memory of stacks
 
 
@@ -421,7 +422,8 @@ class Material:
 
     # ---- increments ------------------------------------------------------------------------------------------------
 
-    def update(self, states: States, gradient: ArrayLike, out: np.ndarray | None = None, threads: int = 1) -> States:
+    def update(self, states: States, gradient: ArrayLike, out: np.ndarray | None = None, threads: int = 1,
+               nonlocal_strain: ArrayLike | None = None) -> States:
         """Find the states after an increment of deformation, of many points at once.
 
         The method "exact" integrates (4.7), (4.8) and, with e_r > 0, the relaxation of the stress to round-off, for a velocity
@@ -436,6 +438,9 @@ class Material:
             Receives the result; may be `states` itself.
         threads : int, optional
             OpenMP threads that share the points; the result does not depend on their number, bit for bit.
+        nonlocal_strain : array (...), optional
+            With a length: the increments m of the nonlocal strain, which smooths abs(D) over the neighbourhood; needs the method
+            "exact". At least 0, and above 0 where D is not 0. With m = abs(D) the update is the one without a length.
 
         Returns
         -------
@@ -449,13 +454,25 @@ class Material:
         ValueError
             If shapes do not match.
         """
-        return self._update(states, gradient, out, threads, None)
+        return self._update(states, gradient, nonlocal_strain, out, threads, None, None)
+
+    @overload
+    def update_with_tangent(self, states: States, gradient: ArrayLike, spin: bool = ..., plane: bool = ...,
+                            out: np.ndarray | None = ..., threads: int = ...,
+                            nonlocal_strain: None = ...) -> tuple[States, np.ndarray]: ...
+
+    @overload
+    def update_with_tangent(self, states: States, gradient: ArrayLike, spin: bool = ..., plane: bool = ...,
+                            out: np.ndarray | None = ..., threads: int = ..., *,
+                            nonlocal_strain: ArrayLike) -> tuple[States, np.ndarray, np.ndarray]: ...
 
     def update_with_tangent(self, states: States, gradient: ArrayLike, spin: bool = False, plane: bool = False,
-                            out: np.ndarray | None = None, threads: int = 1) -> tuple[States, np.ndarray]:
+                            out: np.ndarray | None = None, threads: int = 1, nonlocal_strain: ArrayLike | None = None,
+                            ) -> tuple[States, np.ndarray] | tuple[States, np.ndarray, np.ndarray]:
         """Find the states as `update` does, and the consistent tangent: the derivative of the exact update, whatever the method.
 
-        At D = 0 the tangent is that of a strain of 1e-4 along the last direction (isotropic compression before any strain).
+        At D = 0 the tangent is that of a strain of 1e-4 along the last direction (isotropic compression before any strain). With a
+        length and m > 0 it is that of D = 0 itself, with the last direction in A:S^.
 
         Parameters
         ----------
@@ -465,7 +482,7 @@ class Material:
             Whether the derivatives by the spin increments W_12, W_13, W_23 at fixed strain are appended.
         plane : bool
             Whether only the components of plane strain in x and y are wanted: stresses xx yy zz xy, strains xx yy xy, spin W_12.
-        out, threads
+        out, threads, nonlocal_strain
             As in update.
 
         Returns
@@ -473,7 +490,9 @@ class Material:
         states : record array (...) of dtype STATE
         tangent : array (..., 6, 6), with the spin (..., 6, 9); plane (..., 4, 3), with the spin (..., 4, 4)
             d stress_i / d (strain_j, spin_j), tension positive, engineering shear strains, in the order xx yy zz xy xz yz; 0 for
-            points that cannot follow.
+            points that cannot follow. At constant nonlocal strain, if that is given.
+        by_nonlocal : array (..., 6), plane (..., 4)
+            d stress_i / d m, at constant strain and spin; only if the nonlocal strain is given.
 
         Raises
         ------
@@ -482,15 +501,18 @@ class Material:
         """
         rows, columns, spins = (4, 3, 1) if plane else (6, 6, 3)
         tangent = np.empty((*np.shape(states), rows, columns + spins * spin))
-        return self._update(states, gradient, out, threads, tangent), tangent
+        by_nonlocal = np.empty((*np.shape(states), rows))
+        new = self._update(states, gradient, nonlocal_strain, out, threads, tangent, by_nonlocal)
+        return (new, tangent) if nonlocal_strain is None else (new, tangent, by_nonlocal)
 
-    def _update(self, states: np.ndarray | np.record, gradient: ArrayLike, out: np.ndarray | None, threads: int,
-                tangent: np.ndarray | None) -> Any:
+    def _update(self, states: np.ndarray | np.record, gradient: ArrayLike, nonlocal_strain: ArrayLike | None,
+                out: np.ndarray | None, threads: int, tangent: np.ndarray | None, by_nonlocal: np.ndarray | None) -> Any:
         old = _records(states).reshape(-1)
         gradient = real_array("gradient", gradient)
         shape = np.shape(states)
         if gradient.shape != (*shape, 3, 3):
             raise ValueError(f"gradient has shape {gradient.shape}: must be {(*shape, 3, 3)} for states of shape {shape}")
+        m = None if nonlocal_strain is None else self._nonlocal_strain(nonlocal_strain, shape)
         new = np.empty(shape, STATE) if out is None else out
         threads = _usable_threads(threads, old.size)
         if not isinstance(new, np.ndarray) or new.dtype != STATE or new.shape != shape or not new.flags.c_contiguous:
@@ -501,7 +523,12 @@ class Material:
         arguments = self._par, old, gradient.reshape(-1, 3, 3), new.reshape(-1), status
         if old.size == 0:                                        # the core takes no empty arrays
             return new.view(np.recarray)
-        if tangent is not None:
+        if m is not None and tangent is not None and by_nonlocal is not None:
+            core.update_nonlocal_with_tangent(*arguments[:3], m, *arguments[3:], tangent.reshape(-1, *tangent.shape[-2:]),
+                                              by_nonlocal.reshape(-1, by_nonlocal.shape[-1]), threads)
+        elif m is not None:
+            core.update_nonlocal(*arguments[:3], m, *arguments[3:], threads)
+        elif tangent is not None:
             core.update_with_tangent(*arguments, tangent.reshape(-1, *tangent.shape[-2:]), threads)
         elif self.is_exact:
             core.update(*arguments, threads)
@@ -510,6 +537,18 @@ class Material:
         records: Any = new.view(np.recarray) if shape else new.reshape(1).view(np.recarray)[0]
         _refuse_failures(status.reshape(shape), records)
         return records
+
+    def _nonlocal_strain(self, nonlocal_strain: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+        """Nonlocal strains (n,) as the core takes them; whether they are positive is the core's to say."""
+        m = real_array("nonlocal_strain", nonlocal_strain)
+        faults = []
+        if m.shape != shape:
+            faults.append(f"nonlocal_strain has shape {m.shape}: must be {shape}, as that of the states")
+        if not self.is_exact:
+            faults.append("nonlocal_strain needs the method 'exact' with the spin 'inside', "
+                          f"not {self.method!r} with {self.spin!r}")
+        refuse("the update cannot be made", faults)
+        return m.reshape(-1)
 
     def evaluate(self, states: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the stress and the friction coefficient that the states' microstructure (A, Z2, phi, D^) has by the law.
@@ -611,6 +650,54 @@ class Material:
         least, normal = core.ellipticity(self._par, states.reshape(-1), threads)
         least, normal = least.reshape(states.shape + (2,)), normal.reshape(states.shape + (2, 3))
         return Ellipticity(self.transverse_modulus(states), least[..., 0], normal[..., 0, :], least[..., 1], normal[..., 1, :])
+
+    def length_fault(self, dimensions: int) -> str | None:
+        """Say why a length should not be given to this material, if so.
+
+        With a length short waves are bounded where the transverse modulus eta_t is positive; where it is not, a length makes them
+        grow faster. It is least just after a reversal of steady shear, at A:S^ = abs(chi); out of the plane of shear a3 takes
+        abs(a3 chi)/2 away.
+
+        Parameters
+        ----------
+        dimensions : int
+            Of the body: 2 for plane strain, 3.
+
+        Returns
+        -------
+        str or None
+            A sentence that names the closures to take instead; None where a length is right.
+
+        Raises
+        ------
+        ValueError
+            If there are no so many dimensions.
+        """
+        if dimensions not in MODULUS_FOR_LENGTH:
+            raise ValueError(f"dimensions = {dimensions!r}: must be 2 or 3")
+        least, needed = self._least_modulus(dimensions), MODULUS_FOR_LENGTH[dimensions]
+        if least > needed:
+            return None
+        same = {name: self._given[name] for name in ("mu", "contact", "calibration")}
+        others = [Material(closure=closure, elastic_strain=self["elastic_strain"] or 1.0, **same)
+                  for closure in ("kinematic", "mobilised") if closure != self.closure]
+        better = [repr(other.closure) for other in others if other._least_modulus(dimensions) > needed]
+        mu = self["mu"]
+        return (f"a length does not suit the closure {self.closure!r} at mu = {mu:g} in {dimensions} dimensions: just after "
+                f"a reversal of shear its transverse modulus is {least:.3f} of the pressure, and where it is not above {needed:g} "
+                "a length makes short waves grow faster; "
+                + (f"take the closure {' or '.join(better)}" if better
+                   else "neither 'kinematic' nor 'mobilised' has a larger one at this mu"))
+
+    def _least_modulus(self, dimensions: int) -> float:
+        """The transverse modulus over p just after a reversal of steady shear, in the worst direction."""
+        b1, b2, b3, a3, a4 = (self[name] for name in ("b1", "b2", "b3", "a3", "a4"))
+        x = abs(self["chi"])
+        if self.closure == "mobilised":
+            return b1                                            # friction turns with M, and a3 acts on the fabric alone
+        if self.closure == "critical":                           # A = lambda S^ in the term with a3 as well
+            return b1 - b2 * x + b3 * x**2 - abs(a3) * x * (dimensions - 2)
+        return b1 + (b2 + a4 / 2) * x + b3 * x**2 - abs(a3) * x / 2 * (dimensions - 2)
 
     def follow(self, state: np.record | np.void, gradients: np.ndarray, modes: np.ndarray, functionals: np.ndarray,
                targets: np.ndarray, tolerance: float) -> tuple[np.recarray, np.ndarray, int]:
