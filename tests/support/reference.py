@@ -116,15 +116,15 @@ def integrate(c, fabric, z2, phi, gradient, deviator=None, contact="hookean", rt
     return a, z, ph, p, (y[:, 11:20].reshape(n, 3, 3) if relaxing else model)
 
 
-def first_corner(direction, w, s_hat, ratio):
-    """The time in (0, 1) at which M:S^ first changes its sign, by a matrix exponential; 1 if it does not."""
+def first_corner(direction, w, s_hat, ratio, local=1.0):
+    """The time in (0, 1) at which M:S^ first changes its sign, by a matrix exponential; 1 if it does not. local: |D|/m."""
     turn = np.kron(w, np.eye(3)) + np.kron(np.eye(3), w) - ratio * np.eye(9)                      # of the nine components of M
     system = np.zeros((10, 10))
-    system[:9, :9], system[:9, 9] = turn, ratio * s_hat.ravel()
+    system[:9, :9], system[:9, 9] = turn, ratio * local * s_hat.ravel()
     start = np.append(direction, 1)
 
     def projection(t):
-        return s_hat.ravel() @ (expm(t * system) @ start)[:9]
+        return s_hat.ravel() @ (expm(t * system) @ start)[:9] + (1 - local) * double_dot(s_hat, s_hat)
 
     times = np.linspace(0, 1, 41)
     values = [projection(t) for t in times]
@@ -223,3 +223,71 @@ def integrate_critical(c, phi, gradient, deviator, contact="hookean", rtol=1e-13
     solution = solve_ivp(rate, (0, 1), np.reshape(deviator, -1), method="DOP853", rtol=rtol, atol=rtol * 1e-4, max_step=0.05)
     assert solution.success, solution.message
     return fabric, pressure(1.0), solution.y[:, -1].reshape(n, 3, 3)
+
+
+def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradient, nonlocal_strain, contact="hookean", rtol=1e-13):
+    """As `integrate`, with nonlocal strains m (n,): docs/theory.md, section 12. All closures; phi may not cross phic.
+
+    Takes and returns tensors (n, 3, 3): fabric, the mobilised direction (unused in other closures), stress, tension positive.
+    """
+    n, m = len(gradient), nonlocal_strain
+    _, w, s, mod_d, mod_s, tr = parts(gradient)
+    chi = -(c["c2"] + np.sqrt(c["c2"]**2 - 8 * c["c1"] * c["c3"])) / (2 * c["c3"])
+    slow = -c["c1"] / (c["c2"] + c["c3"] * chi)                                                        # lambda (A 9)
+    s_hat, s_over_m = scale(1 / mod_d, s), scale(1 / m, s)
+
+    def traceless(x):
+        return x - scale(np.trace(x, axis1=-2, axis2=-1) / 3, np.eye(3))
+
+    def stress_of(a, big_m, z):
+        """p and sigma', compression positive."""
+        size = magnitude(a)
+        if closure == "critical":
+            size = abs(slow)
+        p = (c["a1"] + c["a2"] * size + c["g"] * tr / m) * np.maximum(z - c["Zc"], 0) ** 2
+        p = p ** 1.5 if contact == "hertzian" else p
+        if closure == "mobilised":
+            ratio = -c["b1"] * big_m - 2 * c["b2"] * a + 2 * c["a3"] / slow * traceless(a @ a)
+        else:
+            x = double_dot(a, s_hat)
+            eta = c["b1"] + c["b2"] * (np.full(n, chi) if closure == "critical" else x)
+            ratio = -scale(eta + c["a4"] * x / 2, s_over_m) + c["a3"] * traceless(a @ s_over_m + s_over_m @ a) + c["a4"] * a
+        return p, scale(p, ratio)
+
+    def microstructure(a, z, ph):
+        if closure != "critical":
+            return a, z
+        return slow * s_hat, c["Zc"] + c["beta1"] * (ph - c["phic"]) ** c["beta2"]
+
+    def rate(_, y):
+        a, big_m, dev, rest = np.split(y.reshape(n, 29), (9, 18, 27), axis=1)
+        a, big_m, dev, z, ph = a.reshape(n, 3, 3), big_m.reshape(n, 3, 3), dev.reshape(n, 3, 3), rest[:, 0], rest[:, 1]
+        a, z = microstructure(a, z, ph)
+        a_s = double_dot(a, s)
+        dot_a = w @ a - a @ w + c["c1"] * s + scale(c["c2"] * m, a) + scale(c["c3"] * a_s, a)
+        dot_m, dot_dev, share = np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.ones(n)
+        if closure == "mobilised":
+            dot_m = w @ big_m - big_m @ w + scale(m / c["elastic_strain"], s_over_m - big_m)
+            share = np.maximum(double_dot(big_m + s_hat - s_over_m, s_hat) / 2, 0)
+        elif c["elastic_strain"] > 0:
+            dot_dev = w @ dev - dev @ w + scale(m / c["elastic_strain"], stress_of(a, big_m, z)[1] - dev)
+        f = c["Zc"] + c["beta1"] * (ph - c["phic"]) ** c["beta2"]
+        dot_z = c["d1"] * (a_s - chi * share * mod_s) + c["d2"] * m * (f - z) + c["d3"] * tr
+        return np.column_stack([dot_a.reshape(n, 9), dot_m.reshape(n, 9), dot_dev.reshape(n, 9), dot_z, -ph * tr]).ravel()
+
+    corner = np.ones((n, 1))
+    if closure == "mobilised":
+        corner[:, 0] = [first_corner(*point) for point in zip(direction, w, s_hat, m / c["elastic_strain"], mod_d / m)]
+    start = [np.reshape(x, (n, 9)) for x in (fabric, direction, -traceless(stress))]
+    y = np.column_stack([*start, z2, phi]).ravel()
+    for share in (corner, 1 - corner):
+        solution = solve_ivp(lambda t, y, share=share: (share * rate(t, y).reshape(n, 29)).ravel(), (0, 1), y, method="DOP853",
+                             rtol=rtol, atol=rtol * 1e-2, max_step=0.05)
+        assert solution.success, solution.message
+        y = solution.y[:, -1]
+    a, big_m, dev, rest = np.split(y.reshape(n, 29), (9, 18, 27), axis=1)
+    big_m, z, ph = big_m.reshape(n, 3, 3), rest[:, 0], rest[:, 1]
+    a, z = microstructure(a.reshape(n, 3, 3), z, ph)
+    p, model = stress_of(a, big_m, z)
+    dev = dev.reshape(n, 3, 3) if c["elastic_strain"] > 0 and closure != "mobilised" else model
+    return a, z, ph, big_m, -dev - scale(p, np.eye(3))
