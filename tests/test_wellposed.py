@@ -7,7 +7,7 @@ import pytest
 
 from granumat import Material
 from granumat.cli import main
-from granumat.studies import wellposed
+from granumat.studies import growth, wellposed
 
 
 @pytest.mark.parametrize("mu, closure, eta_t, plane, space, lasts", [
@@ -50,11 +50,14 @@ def test_where_friction_turns_the_stiffness_in_compression_takes_the_shear_stres
 def test_the_command_writes_curves_table_and_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(wellposed, "MUS", (0.1, 0.5))
     monkeypatch.setattr(wellposed, "INCREMENTS", 50)
+    monkeypatch.setattr(growth, "ANGLES", np.array([0.1, 1.0]))
+    monkeypatch.setattr(growth, "CLOSURES", ("basic", "kinematic"))
     assert main(["wellposed", "--out", str(tmp_path / "new")]) == 0
     printed = capsys.readouterr().out
-    for name in ("wellposed.csv", "wellposed-loss.csv", "wellposed.png"):
+    for name in ("wellposed.csv", "wellposed-loss.csv", "wellposed.png", "growth.csv", "growth.png"):
         assert f"wrote {tmp_path / 'new' / name}" in printed
     assert " 0.5 kinematic        0.01   0.1520   0.000" in printed
+    assert "kinematic  steady           0.01  0.8" in printed
     with open(tmp_path / "new/wellposed-loss.csv", newline="") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * (6 * 2 + 2) * 4 and {row["closure"] for row in rows} == set(wellposed.CLOSURES)

@@ -133,7 +133,7 @@ def _parser() -> argparse.ArgumentParser:
     chart.add_argument("names", nargs="*", metavar="CASE", help=f"from {', '.join(CASES)}; all if none is given")
     chart.set_defaults(completes=CASES)
     command("stability", run_stability, "map how large an increment each integration method stands")
-    command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal")
+    command("wellposed", run_wellposed, "where each closure loses ellipticity after a reversal, and what a length changes")
     bench = command("bench", run_bench, "time the core: batch, tangent, threads, and paths beside SciPy's solvers")
     kind = bench.add_mutually_exclusive_group()
     kind.add_argument("--fem", type=Path, nargs="?", const=Path(), metavar="DIR",
@@ -375,7 +375,9 @@ def run_umat(options: argparse.Namespace) -> None:
 
 def run_wellposed(options: argparse.Namespace) -> None:
     """Run `granumat wellposed`: files, and the table on screen."""
-    from .studies.wellposed import losses_in_words, write_study
-    curves, filenames = write_study(options.out)
-    print(losses_in_words(curves))
-    _say_written(filenames)
+    from .studies import growth, wellposed
+    curves, filenames = wellposed.write_study(options.out)
+    print(wellposed.losses_in_words(curves))
+    maps, more = growth.write_study(options.out)
+    print("\n" + growth.growth_in_words(maps))
+    _say_written(filenames + more)
