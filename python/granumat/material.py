@@ -693,7 +693,7 @@ class Material:
         """The transverse modulus over p just after a reversal of steady shear, in the worst direction."""
         b1, b2, b3, a3, a4 = (self[name] for name in ("b1", "b2", "b3", "a3", "a4"))
         x = abs(self["chi"])
-        if self.closure == "mobilised":
+        if self.closure in TURNING:
             return b1                                            # friction turns with M, and a3 acts on the fabric alone
         if self.closure == "critical":                           # A = lambda S^ in the term with a3 as well
             return b1 - b2 * x + b3 * x**2 - abs(a3) * x * (dimensions - 2)

@@ -234,6 +234,8 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
     _, w, s, mod_d, mod_s, tr = parts(gradient)
     chi = -(c["c2"] + np.sqrt(c["c2"]**2 - 8 * c["c1"] * c["c3"])) / (2 * c["c3"])
     slow = -c["c1"] / (c["c2"] + c["c3"] * chi)                                                        # lambda (A 9)
+    turns, pressure_evolves = closure.startswith("mobilised"), closure == "mobilised-pressure"
+    critical_factor = c["a1"] + c["a2"] * abs(slow)                                                    # a1 + a2 kappa
     s_hat, s_over_m = scale(1 / mod_d, s), scale(1 / m, s)
 
     def traceless(x):
@@ -245,8 +247,10 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
         if closure == "critical":
             size = abs(slow)
         p = (c["a1"] + c["a2"] * size + c["g"] * tr / m) * np.maximum(z - c["Zc"], 0) ** 2
+        if pressure_evolves:
+            p = 2 * critical_factor * np.maximum(z - c["Zc"], 0)
         p = p ** 1.5 if contact == "hertzian" else p
-        if closure == "mobilised":
+        if turns:
             ratio = -c["b1"] * big_m - 2 * c["b2"] * a + 2 * c["a3"] / slow * traceless(a @ a)
         else:
             x = double_dot(a, s_hat)
@@ -266,18 +270,21 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
         a_s = double_dot(a, s)
         dot_a = w @ a - a @ w + c["c1"] * s + scale(c["c2"] * m, a) + scale(c["c3"] * a_s, a)
         dot_m, dot_dev, share = np.zeros((n, 3, 3)), np.zeros((n, 3, 3)), np.ones(n)
-        if closure == "mobilised":
+        if turns:
             dot_m = w @ big_m - big_m @ w + scale(m / c["elastic_strain"], s_over_m - big_m)
             share = np.maximum(double_dot(big_m + s_hat - s_over_m, s_hat) / 2, 0)
         elif c["elastic_strain"] > 0:
             dot_dev = w @ dev - dev @ w + scale(m / c["elastic_strain"], stress_of(a, big_m, z)[1] - dev)
         f = c["Zc"] + c["beta1"] * (ph - c["phic"]) ** c["beta2"]
+        f = c["Zc"] + c["beta1"]**2 / 2 * (ph - c["phic"]) if pressure_evolves else f
         dot_z = c["d1"] * (a_s - chi * share * mod_s) + c["d2"] * m * (f - z) + c["d3"] * tr
         return np.column_stack([dot_a.reshape(n, 9), dot_m.reshape(n, 9), dot_dev.reshape(n, 9), dot_z, -ph * tr]).ravel()
 
     corner = np.ones((n, 1))
-    if closure == "mobilised":
+    if turns:
         corner[:, 0] = [first_corner(*point) for point in zip(direction, w, s_hat, m / c["elastic_strain"], mod_d / m)]
+    if pressure_evolves:                               # z - Zc in the rates is half of p d/k/(a1 + a2 kappa)
+        z2 = c["Zc"] + (z2 - c["Zc"]) * abs(z2 - c["Zc"]) / 2 * (c["a1"] + c["a2"] * magnitude(fabric)) / critical_factor
     start = [np.reshape(x, (n, 9)) for x in (fabric, direction, -traceless(stress))]
     y = np.column_stack([*start, z2, phi]).ravel()
     for share in (corner, 1 - corner):
@@ -289,5 +296,8 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
     big_m, z, ph = big_m.reshape(n, 3, 3), rest[:, 0], rest[:, 1]
     a, z = microstructure(a.reshape(n, 3, 3), z, ph)
     p, model = stress_of(a, big_m, z)
-    dev = dev.reshape(n, 3, 3) if c["elastic_strain"] > 0 and closure != "mobilised" else model
+    if pressure_evolves:
+        z = z - c["Zc"]
+        z = c["Zc"] + np.sign(z) * np.sqrt(2 * abs(z) * critical_factor / (c["a1"] + c["a2"] * magnitude(a)))
+    dev = dev.reshape(n, 3, 3) if c["elastic_strain"] > 0 and not turns else model
     return a, z, ph, big_m, -dev - scale(p, np.eye(3))

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from .. import tensors
 from ..core import STATE
-from ..material import Material
+from ..material import TURNING, Material
 
 MU, VOLUME_FRACTION = 0.5, 0.60
 CLOSURES = ("basic", "full", "kinematic", "mobilised")
@@ -66,7 +66,7 @@ def linearise(material: Material, state: np.record, gradient: np.ndarray, has_le
     -------
     Linear
     """
-    followed = "direction" if material.closure == "mobilised" else "stress"
+    followed = "direction" if material.closure in TURNING else "stress"
     unknowns = _unknowns(np.array([state]), followed)[0]
     magnitude = tensors.magnitude(tensors.to_voigt((gradient + gradient.T) / 2))
 
@@ -171,7 +171,7 @@ def growth_map(closure: str, flow: str, elastic_strain: float, length: float, mu
 def study() -> list[Map]:
     """The maps of all closures and cases, without a length and with one."""
     return [growth_map(closure, flow, elastic_strain, length) for closure in CLOSURES for flow, elastic_strain in CASES
-            for length in (0.0, LENGTH) if elastic_strain > 0 or closure != "mobilised"]
+            for length in (0.0, LENGTH) if elastic_strain > 0 or closure not in TURNING]
 
 
 # ---- files -----------------------------------------------------------------------------------------------------------
