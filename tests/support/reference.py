@@ -225,6 +225,29 @@ def integrate_critical(c, phi, gradient, deviator, contact="hookean", rtol=1e-13
     return fabric, pressure(1.0), solution.y[:, -1].reshape(n, 3, 3)
 
 
+def traceless(x):
+    return x - scale(np.trace(x, axis1=-2, axis2=-1) / 3, np.eye(3))
+
+
+def stress_with_length(c, closure, contact, a, big_m, z, gradient, m):
+    """p and sigma' (compression positive) of fabric a, mobilised direction and Z2, or what evolves in its place, with a length."""
+    _, _, s, mod_d, _, tr = parts(gradient)
+    chi = -(c["c2"] + np.sqrt(c["c2"]**2 - 8 * c["c1"] * c["c3"])) / (2 * c["c3"])
+    slow = -c["c1"] / (c["c2"] + c["c3"] * chi)                                                        # lambda (A 9)
+    size = abs(slow) if closure == "critical" else magnitude(a)
+    p = (c["a1"] + c["a2"] * size + c["g"] * tr / m) * np.maximum(z - c["Zc"], 0) ** 2
+    if closure == "mobilised-pressure":
+        p = 2 * (c["a1"] + c["a2"] * abs(slow)) * np.maximum(z - c["Zc"], 0)
+    p = p ** 1.5 if contact == "hertzian" else p
+    if closure.startswith("mobilised"):
+        return p, scale(p, -c["b1"] * big_m - 2 * c["b2"] * a + 2 * c["a3"] / slow * traceless(a @ a))
+    s_hat, s_over_m = scale(1 / mod_d, s), scale(1 / m, s)
+    x = double_dot(a, s_hat)
+    eta = c["b1"] + c["b2"] * (np.full(len(m), chi) if closure == "critical" else x)
+    ratio = -scale(eta + c["a4"] * x / 2, s_over_m) + c["a3"] * traceless(a @ s_over_m + s_over_m @ a) + c["a4"] * a
+    return p, scale(p, ratio)
+
+
 def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradient, nonlocal_strain, contact="hookean", rtol=1e-13):
     """As `integrate`, with nonlocal strains m (n,): docs/theory.md, section 12. All closures; phi may not cross phic.
 
@@ -237,26 +260,6 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
     turns, pressure_evolves = closure.startswith("mobilised"), closure == "mobilised-pressure"
     critical_factor = c["a1"] + c["a2"] * abs(slow)                                                    # a1 + a2 kappa
     s_hat, s_over_m = scale(1 / mod_d, s), scale(1 / m, s)
-
-    def traceless(x):
-        return x - scale(np.trace(x, axis1=-2, axis2=-1) / 3, np.eye(3))
-
-    def stress_of(a, big_m, z):
-        """p and sigma', compression positive."""
-        size = magnitude(a)
-        if closure == "critical":
-            size = abs(slow)
-        p = (c["a1"] + c["a2"] * size + c["g"] * tr / m) * np.maximum(z - c["Zc"], 0) ** 2
-        if pressure_evolves:
-            p = 2 * critical_factor * np.maximum(z - c["Zc"], 0)
-        p = p ** 1.5 if contact == "hertzian" else p
-        if turns:
-            ratio = -c["b1"] * big_m - 2 * c["b2"] * a + 2 * c["a3"] / slow * traceless(a @ a)
-        else:
-            x = double_dot(a, s_hat)
-            eta = c["b1"] + c["b2"] * (np.full(n, chi) if closure == "critical" else x)
-            ratio = -scale(eta + c["a4"] * x / 2, s_over_m) + c["a3"] * traceless(a @ s_over_m + s_over_m @ a) + c["a4"] * a
-        return p, scale(p, ratio)
 
     def microstructure(a, z, ph):
         if closure != "critical":
@@ -274,7 +277,8 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
             dot_m = w @ big_m - big_m @ w + scale(m / c["elastic_strain"], s_over_m - big_m)
             share = np.maximum(double_dot(big_m + s_hat - s_over_m, s_hat) / 2, 0)
         elif c["elastic_strain"] > 0:
-            dot_dev = w @ dev - dev @ w + scale(m / c["elastic_strain"], stress_of(a, big_m, z)[1] - dev)
+            model = stress_with_length(c, closure, contact, a, big_m, z, gradient, m)[1]
+            dot_dev = w @ dev - dev @ w + scale(m / c["elastic_strain"], model - dev)
         f = c["Zc"] + c["beta1"] * (ph - c["phic"]) ** c["beta2"]
         f = c["Zc"] + c["beta1"]**2 / 2 * (ph - c["phic"]) if pressure_evolves else f
         dot_z = c["d1"] * (a_s - chi * share * mod_s) + c["d2"] * m * (f - z) + c["d3"] * tr
@@ -295,7 +299,7 @@ def integrate_with_length(c, closure, fabric, direction, stress, z2, phi, gradie
     a, big_m, dev, rest = np.split(y.reshape(n, 29), (9, 18, 27), axis=1)
     big_m, z, ph = big_m.reshape(n, 3, 3), rest[:, 0], rest[:, 1]
     a, z = microstructure(a.reshape(n, 3, 3), z, ph)
-    p, model = stress_of(a, big_m, z)
+    p, model = stress_with_length(c, closure, contact, a, big_m, z, gradient, m)
     if pressure_evolves:
         z = z - c["Zc"]
         z = c["Zc"] + np.sign(z) * np.sqrt(2 * abs(z) * critical_factor / (c["a1"] + c["a2"] * magnitude(a)))
