@@ -2,7 +2,7 @@
 module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
   use granumat_batch, only: update_batch, update_batch_by_method
-  use granumat_element, only: element_gradients, element_forces, element_stiffness
+  use granumat_element, only: element_gradients, element_forces, element_stiffness, element_helmholtz, element_coupling
   use granumat_ellipticity, only: response, transverse_modulus, response_of, least_over_normals, EIGENVALUE, DETERMINANT
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
     are_valid, N_CONSTANTS, NAME_LENGTH, RANGES
@@ -257,14 +257,36 @@ contains
     call element_forces(shape_gradients, x_new, volume, stress, mean_dilatation /= 0, forces)
   end subroutine granumat_element_forces
 
-  subroutine granumat_element_stiffness(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, L, stress, &
-      tangent, K) bind(c)
-    integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
+  subroutine granumat_element_stiffness(d, nodes, points, cells, unknowns, mean_dilatation, shape_gradients, x_new, volume, L, &
+      stress, tangent, K) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, points, cells, unknowns, mean_dilatation
     real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
     real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells)
     real(c_double), intent(in) :: tangent(5 * d - 6, 2 * d, points, cells)
-    real(c_double), intent(out) :: K(d * nodes, d * nodes, cells)
+    real(c_double), intent(inout) :: K(unknowns * nodes, unknowns * nodes, cells)
     call element_stiffness(shape_gradients, x_new, volume, L, stress, tangent, mean_dilatation /= 0, K)
   end subroutine granumat_element_stiffness
+
+  subroutine granumat_element_helmholtz(d, nodes, vertices, points, cells, shape_gradients, vertex_values, vertex_gradients, &
+      weights, x, length, matrix, volume) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, vertices, points, cells
+    real(c_double), intent(in) :: shape_gradients(nodes, d, points), vertex_values(vertices, points)
+    real(c_double), intent(in) :: vertex_gradients(vertices, d, points), weights(points), x(d, nodes, cells)
+    real(c_double), value, intent(in) :: length
+    real(c_double), intent(out) :: matrix(vertices, vertices, cells), volume(points, cells)
+    call element_helmholtz(shape_gradients, vertex_values, vertex_gradients, weights, x, length, matrix, volume)
+  end subroutine granumat_element_helmholtz
+
+  subroutine granumat_element_coupling(d, nodes, vertices, points, cells, mean_dilatation, shape_gradients, vertex_values, x_new, &
+      volume, old_volume, L, by_nonlocal, matrix, scale, K) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, vertices, points, cells, mean_dilatation
+    real(c_double), intent(in) :: shape_gradients(nodes, d, points), vertex_values(vertices, points), x_new(d, nodes, cells)
+    real(c_double), intent(in) :: volume(points, cells), old_volume(points, cells), L(3, 3, points, cells)
+    real(c_double), intent(in) :: by_nonlocal(2 * d, points, cells), matrix(vertices, vertices, cells)
+    real(c_double), value, intent(in) :: scale
+    real(c_double), intent(inout) :: K((d + 1) * nodes, (d + 1) * nodes, cells)
+    call element_coupling(shape_gradients, vertex_values, x_new, volume, old_volume, L, by_nonlocal, matrix, scale, &
+      mean_dilatation /= 0, K)
+  end subroutine granumat_element_coupling
 
 end module granumat_bindings

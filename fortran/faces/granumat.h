@@ -178,11 +178,26 @@ void granumat_element_gradients(int d, int nodes, int points, int cells, int mea
 void granumat_element_forces(int d, int nodes, int points, int cells, int mean_dilatation, const double *shape_gradients,
                              const double *x_new, const double *volume, const double *stress, double *forces);
 
-/* Their derivative by u, K[cell][row][column] with rows and columns over (node, d); tangent[cell][q] is 6 x 9, in the plane
- * 4 x 4. */
-void granumat_element_stiffness(int d, int nodes, int points, int cells, int mean_dilatation, const double *shape_gradients,
-                                const double *x_new, const double *volume, const double *L, const double *stress,
-                                const double *tangent, double *K);
+/* Their derivative by u, K[cell][row][column] with rows and columns over (node, unknown): each node has so many unknowns, of which
+ * the first d are displacements, and the others are left alone. tangent[cell][q] is 6 x 9, in the plane 4 x 4. */
+void granumat_element_stiffness(int d, int nodes, int points, int cells, int unknowns, int mean_dilatation,
+                                const double *shape_gradients, const double *x_new, const double *volume, const double *L,
+                                const double *stress, const double *tangent, double *K);
+
+/* With a length the nonlocal strain m is one unknown more a node, of degree 1 between the cells' vertices, which come first among
+ * the nodes: m - length^2 div grad m = abs(D) over the body at the start of the increment, at x. vertex_values[q][a] and
+ * vertex_gradients[q][k][a] are the shape functions of degree 1. matrix[cell][a][b] is that of the left side, volume[cell][q] the
+ * points' volume at x. */
+void granumat_element_helmholtz(int d, int nodes, int vertices, int points, int cells, const double *shape_gradients,
+                                const double *vertex_values, const double *vertex_gradients, const double *weights,
+                                const double *x, double length, double *matrix, double *volume);
+
+/* Writes what K has to do with m: the derivative of the forces by m, with by_nonlocal[cell][q][i] = d stress_i / d m, i < 2 d, and
+ * scale times the derivatives of matrix m - (sum over points of old_volume N abs(D)). K is as above, with d + 1 unknowns a node. */
+void granumat_element_coupling(int d, int nodes, int vertices, int points, int cells, int mean_dilatation,
+                               const double *shape_gradients, const double *vertex_values, const double *x_new,
+                               const double *volume, const double *old_volume, const double *L, const double *by_nonlocal,
+                               const double *matrix, double scale, double *K);
 
 /* ---- What this machine can do ---- */
 

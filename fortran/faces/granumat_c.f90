@@ -8,7 +8,8 @@ module granumat_c
     granumat_isotropic_state, granumat_steady_states, granumat_evaluate_stress, granumat_update_states, &
     granumat_update_states_with_tangent, granumat_update_nonlocal_states, granumat_update_nonlocal_states_with_tangent, &
     granumat_update_states_by_method, granumat_follow_path, granumat_transverse_modulus, granumat_response, &
-    granumat_least_acoustic, granumat_element_gradients, granumat_element_forces, granumat_element_stiffness, granumat_arithmetic
+    granumat_least_acoustic, granumat_element_gradients, granumat_element_forces, granumat_element_stiffness, &
+    granumat_element_helmholtz, granumat_element_coupling, granumat_arithmetic
 
   integer(c_int), parameter, public :: GRANUMAT_CRITICAL = 0, GRANUMAT_BASIC = 1, GRANUMAT_N2 = 2, GRANUMAT_FULL = 3, &
     GRANUMAT_KINEMATIC = 4, GRANUMAT_MOBILISED = 5, GRANUMAT_MOBILISED_PRESSURE = 6
@@ -211,16 +212,39 @@ module granumat_c
       real(c_double), intent(out) :: forces(d, nodes, cells)
     end subroutine granumat_element_forces
 
-    subroutine granumat_element_stiffness(d, nodes, points, cells, mean_dilatation, shape_gradients, x_new, volume, L, stress, &
-        tangent, K) bind(c)
+    subroutine granumat_element_stiffness(d, nodes, points, cells, unknowns, mean_dilatation, shape_gradients, x_new, volume, L, &
+        stress, tangent, K) bind(c)
       import :: c_double, c_int
       implicit none (type, external)
-      integer(c_int), value, intent(in) :: d, nodes, points, cells, mean_dilatation
+      integer(c_int), value, intent(in) :: d, nodes, points, cells, unknowns, mean_dilatation
       real(c_double), intent(in) :: shape_gradients(nodes, d, points), x_new(d, nodes, cells), volume(points, cells)
       real(c_double), intent(in) :: L(3, 3, points, cells), stress(6, points, cells)
       real(c_double), intent(in) :: tangent(5 * d - 6, 2 * d, points, cells)
-      real(c_double), intent(out) :: K(d * nodes, d * nodes, cells)
+      real(c_double), intent(inout) :: K(unknowns * nodes, unknowns * nodes, cells)
     end subroutine granumat_element_stiffness
+
+    subroutine granumat_element_helmholtz(d, nodes, vertices, points, cells, shape_gradients, vertex_values, vertex_gradients, &
+        weights, x, length, matrix, volume) bind(c)
+      import :: c_double, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: d, nodes, vertices, points, cells
+      real(c_double), intent(in) :: shape_gradients(nodes, d, points), vertex_values(vertices, points)
+      real(c_double), intent(in) :: vertex_gradients(vertices, d, points), weights(points), x(d, nodes, cells)
+      real(c_double), value, intent(in) :: length
+      real(c_double), intent(out) :: matrix(vertices, vertices, cells), volume(points, cells)
+    end subroutine granumat_element_helmholtz
+
+    subroutine granumat_element_coupling(d, nodes, vertices, points, cells, mean_dilatation, shape_gradients, vertex_values, &
+        x_new, volume, old_volume, L, by_nonlocal, matrix, scale, K) bind(c)
+      import :: c_double, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: d, nodes, vertices, points, cells, mean_dilatation
+      real(c_double), intent(in) :: shape_gradients(nodes, d, points), vertex_values(vertices, points), x_new(d, nodes, cells)
+      real(c_double), intent(in) :: volume(points, cells), old_volume(points, cells), L(3, 3, points, cells)
+      real(c_double), intent(in) :: by_nonlocal(2 * d, points, cells), matrix(vertices, vertices, cells)
+      real(c_double), value, intent(in) :: scale
+      real(c_double), intent(inout) :: K((d + 1) * nodes, (d + 1) * nodes, cells)
+    end subroutine granumat_element_coupling
 
     subroutine granumat_arithmetic(rounds, total) bind(c)
       import :: c_double, c_int

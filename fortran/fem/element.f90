@@ -9,6 +9,10 @@
 !! work on it is the cell's mean: L = log F + (log(V/V_old) - tr log F) I/d, and forces come from tau = sigma + (P - p_q) I,
 !! p_q = (tr sigma)/d over the d axes of the plane or space, P its mean over the cell's volume V.
 !!
+!! With a length there is a scalar m beside u, of degree 1 between the cells' vertices, which come first among the nodes:
+!! m - l^2 div grad m = |D| over the body as it is at the start of the increment, so that it is linear in m. element_helmholtz gives
+!! the matrix of its left side, element_coupling all derivatives that have to do with m.
+!!
 !! LANES cells go side by side, gathered and scattered cell by cell; a last group that is not full repeats its last cell.
 !! Gradients have three axes in the plane too, where the derivatives along the third are 0. See docs/theory.md, section 9.
 module granumat_element
@@ -18,7 +22,7 @@ module granumat_element
   use granumat_tensors, only: VOIGT
   implicit none (type, external)
   private
-  public :: element_gradients, element_forces, element_stiffness
+  public :: element_gradients, element_forces, element_stiffness, element_helmholtz, element_coupling
 
   integer, parameter :: INVERTED = 1                 ! an integration point's volume vanishes or changes its sign
   integer, parameter :: TOO_LARGE = 2                ! log F does not converge: the increment turns or strains by too much
@@ -134,15 +138,18 @@ contains
     real(dp), intent(in) :: tangent(:, :, :, :)           ! (9, 6, points, cells): (j, i) = d stress_i / d (strain_j, spin_j);
                                                           ! (4, 4, points, cells) of PLANE_COLUMNS in the plane
     logical, intent(in) :: mean_dilatation
-    real(dp), intent(out) :: K(:, :, :)                   ! (d nodes, d nodes, cells), transposed: (column, row)
-    real(dp) :: x(LANES, size(x_new, 1), size(x_new, 2)), spatial(LANES, 3, size(x_new, 2)), matrix(LANES, size(K, 1), size(K, 2))
-    real(dp), dimension(LANES, size(K, 1)) :: mean_divergence, pressure_column, pressure_row
+    real(dp), intent(inout) :: K(:, :, :)                 ! (n nodes, n nodes, cells), transposed: (column, row); of the n >= d
+                                                          ! unknowns of a node the first d are displacements, the others left alone
+    real(dp) :: x(LANES, size(x_new, 1), size(x_new, 2)), spatial(LANES, 3, size(x_new, 2))
+    real(dp) :: matrix(LANES, size(x_new, 1) * size(x_new, 2), size(x_new, 1) * size(x_new, 2))
+    real(dp), dimension(LANES, size(x_new, 1) * size(x_new, 2)) :: mean_divergence, pressure_column, pressure_row
     real(dp), dimension(LANES, 3, 3) :: tau, slope, isotropic
     real(dp) :: E(LANES, 3, 3, 6), e_iso(LANES, 6), X_ij(LANES, 3, 3, 3, 3)
     real(dp), dimension(LANES) :: det, mean, dv, cell_volume, pressure_square, e_mean, excess
-    integer :: cell(LANES), first, lane, q, i, j, d
+    integer :: cell(LANES), first, lane, q, i, j, d, n, a, b
 
     d = size(x_new, 1)
+    n = size(K, 1) / size(x_new, 2)
     do first = 1, size(x_new, 3), LANES
       cell = group(first, size(x_new, 3))
       x = nodal(x_new, cell)
@@ -195,18 +202,216 @@ contains
         call add_product(spatial, dv, X_ij, d, matrix)
       end do
       if (mean_dilatation) then
-        do i = 1, size(K, 2)
-          do j = 1, size(K, 1)
+        do i = 1, size(matrix, 3)
+          do j = 1, size(matrix, 2)
             matrix(:, j, i) = matrix(:, j, i) + mean_divergence(:, j) * pressure_column(:, i) &
               + mean_divergence(:, i) * (pressure_row(:, j) + pressure_square * mean_divergence(:, j))
           end do
         end do
       end if
       do lane = 1, LANES
-        K(:, :, cell(lane)) = matrix(lane, :, :)
+        do a = 1, size(x_new, 2)
+          do i = 1, d
+            do b = 1, size(x_new, 2)
+              K((b - 1) * n + 1:(b - 1) * n + d, (a - 1) * n + i, cell(lane)) = &
+                matrix(lane, (b - 1) * d + 1:b * d, (a - 1) * d + i)
+            end do
+          end do
+        end do
       end do
     end do
   end subroutine element_stiffness
+
+  !> The matrices of m - l^2 div grad m, for m of degree 1 between the vertices: sum over points of volume
+  !! N_a N_b + l^2 grad N_a . grad N_b, and the points' volumes. Both are where the nodes are at x.
+  subroutine element_helmholtz(shape_gradients, vertex_values, vertex_gradients, weights, x, length, matrix, volume)
+    real(dp), intent(in) :: shape_gradients(:, :, :)      ! (nodes, d, points)
+    real(dp), intent(in) :: vertex_values(:, :)           ! (vertices, points): shape functions of degree 1
+    real(dp), intent(in) :: vertex_gradients(:, :, :)     ! (vertices, d, points)
+    real(dp), intent(in) :: weights(:)                    ! (points)
+    real(dp), intent(in) :: x(:, :, :)                    ! (d, nodes, cells)
+    real(dp), intent(in) :: length
+    real(dp), intent(out) :: matrix(:, :, :)              ! (vertices, vertices, cells)
+    real(dp), intent(out) :: volume(:, :)                 ! (points, cells)
+    real(dp) :: at(LANES, size(x, 1), size(x, 2)), spatial(LANES, 3, size(vertex_values, 1)), inverse(LANES, 3, 3)
+    real(dp) :: total(LANES, size(vertex_values, 1), size(vertex_values, 1))
+    real(dp), dimension(LANES) :: det, dv
+    integer :: cell(LANES), first, lane, q, a, b
+
+    do first = 1, size(x, 3), LANES
+      cell = group(first, size(x, 3))
+      at = nodal(x, cell)
+      total = 0
+      do q = 1, size(weights)
+        call inverse_jacobian(shape_gradients(:, :, q), at, inverse, det)
+        call to_spatial(vertex_gradients(:, :, q), inverse, spatial)
+        dv = weights(q) * abs(det)
+        do lane = 1, LANES
+          volume(q, cell(lane)) = dv(lane)
+        end do
+        do b = 1, size(vertex_values, 1)
+          do a = 1, size(vertex_values, 1)
+            total(:, a, b) = total(:, a, b) + dv * (vertex_values(a, q) * vertex_values(b, q) + length**2 &
+              * (spatial(:, 1, a) * spatial(:, 1, b) + spatial(:, 2, a) * spatial(:, 2, b) + spatial(:, 3, a) * spatial(:, 3, b)))
+          end do
+        end do
+      end do
+      do lane = 1, LANES
+        matrix(:, :, cell(lane)) = total(lane, :, :)
+      end do
+    end do
+  end subroutine element_helmholtz
+
+  !> What m adds to element_stiffness: the derivative of element_forces by m, and the derivatives by u and m of
+  !!   scale (sum_b matrix(a, b) m_b - sum over points of old volume N_a |D|),  |D| = sqrt(D : D/2), D the symmetric part of L.
+  !! The variation of D is that of L in element_stiffness. Nodes that are no vertices get the equation m = 0.
+  subroutine element_coupling(shape_gradients, vertex_values, x_new, volume, old_volume, L, by_nonlocal, matrix, scale, &
+      mean_dilatation, K)
+    real(dp), intent(in) :: shape_gradients(:, :, :)      ! (nodes, d, points)
+    real(dp), intent(in) :: vertex_values(:, :)           ! (vertices, points)
+    real(dp), intent(in) :: x_new(:, :, :)                ! (d, nodes, cells): after the increment
+    real(dp), intent(in) :: volume(:, :)                  ! (points, cells): after the increment
+    real(dp), intent(in) :: old_volume(:, :)              ! (points, cells): before it, as matrix
+    real(dp), intent(in) :: L(:, :, :, :)                 ! (3, 3, points, cells)
+    real(dp), intent(in) :: by_nonlocal(:, :, :)          ! (6 or, in the plane, 4, points, cells): d stress/d m
+    real(dp), intent(in) :: matrix(:, :, :)               ! (vertices, vertices, cells) of element_helmholtz
+    real(dp), intent(in) :: scale
+    logical, intent(in) :: mean_dilatation
+    real(dp), intent(inout) :: K(:, :, :)                 ! ((d + 1) nodes, (d + 1) nodes, cells): (column, row)
+    real(dp) :: x(LANES, size(x_new, 1), size(x_new, 2)), spatial(LANES, 3, size(x_new, 2))
+    real(dp), dimension(LANES, size(x_new, 1) * size(x_new, 2), size(vertex_values, 1)) :: forces_by_m, source_by_u
+    real(dp), dimension(LANES, size(x_new, 1) * size(x_new, 2)) :: mean_divergence, along_stress, along_strain
+    real(dp), dimension(LANES, size(vertex_values, 1)) :: pressure_by_m, source_by_dilatation
+    real(dp), dimension(LANES, 3, 3) :: slope, E, stress_slope, isotropic
+    real(dp), dimension(LANES) :: det, dv, old_dv, e_mean, s_mean, cell_volume
+    real(dp) :: s(LANES, 6)
+    integer :: cell(LANES), first, lane, q, i, a, d
+
+    d = size(x_new, 1)
+    do first = 1, size(x_new, 3), LANES
+      cell = group(first, size(x_new, 3))
+      x = nodal(x_new, cell)
+      cell_volume = sum(volume(:, cell), 1)
+      isotropic = 0
+      do i = 1, d
+        isotropic(:, i, i) = 1 / cell_volume
+      end do
+      forces_by_m = 0
+      source_by_u = 0
+      mean_divergence = 0
+      pressure_by_m = 0
+      source_by_dilatation = 0
+      do q = 1, size(volume, 1)
+        dv = volume(q, cell)
+        old_dv = old_volume(q, cell)
+        call spatial_gradients(shape_gradients(:, :, q), x, spatial, det)
+        s = 0
+        s(:, :size(by_nonlocal, 1)) = transpose(by_nonlocal(:, q, cell))
+        stress_slope = to_matrix(s)
+        slope = slope_of_magnitude(L, q, cell)
+        E = adjoint_of_logarithm(gradient(L, q, cell), slope)
+        if (mean_dilatation) then
+          s_mean = 0
+          e_mean = 0
+          do i = 1, d
+            s_mean = s_mean + stress_slope(:, i, i) / d
+            e_mean = e_mean + slope(:, i, i) / d
+          end do
+          do i = 1, d
+            stress_slope(:, i, i) = stress_slope(:, i, i) - s_mean
+            E(:, i, i) = E(:, i, i) - e_mean
+          end do
+          call add_projection(spatial, dv, isotropic, mean_divergence)
+          do a = 1, size(vertex_values, 1)
+            pressure_by_m(:, a) = pressure_by_m(:, a) + dv * vertex_values(a, q) * s_mean
+            source_by_dilatation(:, a) = source_by_dilatation(:, a) + old_dv * vertex_values(a, q) * e_mean
+          end do
+        end if
+        along_stress = 0
+        along_strain = 0
+        call add_projection(spatial, dv, stress_slope, along_stress)
+        call add_projection(spatial, old_dv, E, along_strain)
+        do a = 1, size(vertex_values, 1)
+          forces_by_m(:, :, a) = forces_by_m(:, :, a) + vertex_values(a, q) * along_stress
+          source_by_u(:, :, a) = source_by_u(:, :, a) + vertex_values(a, q) * along_strain
+        end do
+      end do
+      if (mean_dilatation) then
+        do a = 1, size(vertex_values, 1)
+          do i = 1, size(mean_divergence, 2)
+            forces_by_m(:, i, a) = forces_by_m(:, i, a) + mean_divergence(:, i) * pressure_by_m(:, a)
+            source_by_u(:, i, a) = source_by_u(:, i, a) + mean_divergence(:, i) * source_by_dilatation(:, a)
+          end do
+        end do
+      end if
+      do lane = 1, LANES
+        call set_coupling(forces_by_m(lane, :, :), -scale * source_by_u(lane, :, :), scale * matrix(:, :, cell(lane)), d, &
+          K(:, :, cell(lane)))
+      end do
+    end do
+  end subroutine element_coupling
+
+  !> Writes the rows and columns of m into a cell's matrix.
+  pure subroutine set_coupling(forces_by_m, m_by_u, m_by_m, d, K)
+    real(dp), intent(in), dimension(:, :) :: forces_by_m, m_by_u     ! (d nodes, vertices)
+    real(dp), intent(in) :: m_by_m(:, :)                             ! (vertices, vertices): symmetric
+    integer, intent(in) :: d
+    real(dp), intent(inout) :: K(:, :)                               ! ((d + 1) nodes, (d + 1) nodes): (column, row)
+    integer :: a, b, of_m
+
+    do a = 1, size(m_by_u, 2)
+      of_m = a * (d + 1)
+      do b = 1, size(m_by_u, 1) / d
+        K(of_m, (b - 1) * (d + 1) + 1:b * (d + 1) - 1) = forces_by_m((b - 1) * d + 1:b * d, a)
+        K((b - 1) * (d + 1) + 1:b * (d + 1) - 1, of_m) = m_by_u((b - 1) * d + 1:b * d, a)
+      end do
+      do b = 1, size(m_by_m, 1)
+        K(b * (d + 1), of_m) = m_by_m(b, a)
+      end do
+    end do
+    do a = size(m_by_u, 2) + 1, size(m_by_u, 1) / d
+      of_m = a * (d + 1)
+      K(of_m, :) = 0
+      K(:, of_m) = 0
+      K(of_m, of_m) = 1
+    end do
+  end subroutine set_coupling
+
+  !> D/(2 |D|), the derivative of |D| by D; 0 where D = 0.
+  pure function slope_of_magnitude(L, q, cell) result(slope)
+    real(dp), intent(in) :: L(:, :, :, :)            ! (3, 3, points, cells)
+    integer, intent(in) :: q
+    integer, intent(in) :: cell(LANES)
+    real(dp) :: slope(LANES, 3, 3), square(LANES)
+    integer :: i, j
+    square = 0
+    slope = gradient(L, q, cell)
+    do j = 1, 3
+      do i = 1, j
+        slope(:, i, j) = (slope(:, i, j) + slope(:, j, i)) / 2
+        slope(:, j, i) = slope(:, i, j)
+        square = square + merge(0.5_dp, 1.0_dp, i == j) * slope(:, i, j)**2
+      end do
+    end do
+    square = 2 * max(sqrt(square), tiny(1.0_dp))
+    do j = 1, 3
+      do i = 1, 3
+        slope(:, i, j) = slope(:, i, j) / square
+      end do
+    end do
+  end function slope_of_magnitude
+
+  !> The velocity gradients, (:, i, j) = du_i/dx_j, of a point of every cell of a group.
+  pure function gradient(L, q, cell) result(G)
+    real(dp), intent(in) :: L(:, :, :, :)            ! (3, 3, points, cells)
+    integer, intent(in) :: q
+    integer, intent(in) :: cell(LANES)
+    real(dp) :: G(LANES, 3, 3)
+    integer :: lane
+    do lane = 1, LANES
+      G(lane, :, :) = transpose(L(:, :, q, cell(lane)))
+    end do
+  end function gradient
 
   !> The cells of the group that begins with the first.
   pure function group(first, cells) result(cell)
@@ -237,13 +442,11 @@ contains
     integer, intent(in) :: d
     real(dp), intent(out) :: E(LANES, 3, 3, 6)
     real(dp), intent(out) :: e_iso(LANES, 6)
-    real(dp), dimension(LANES, 3, 3) :: G, slope, first, second, fourth
+    real(dp), dimension(LANES, 3, 3) :: G, slope
     real(dp) :: by_strain_and_spin(LANES, 9)
     integer :: lane, i, k, m
 
-    do lane = 1, LANES
-      G(lane, :, :) = transpose(L(:, :, q, cell(lane)))
-    end do
+    G = gradient(L, q, cell)
     e_iso = 0
     E = 0
     by_strain_and_spin = 0
@@ -265,12 +468,19 @@ contains
       do k = 1, d
         e_iso(:, i) = e_iso(:, i) + slope(:, k, k)
       end do
-      first = commutator(G, slope)
-      second = commutator(G, first)
-      fourth = commutator(G, commutator(G, second))
-      E(:, :, :, i) = slope - first / 2 + second / 12 - fourth / 720
+      E(:, :, :, i) = adjoint_of_logarithm(G, slope)
     end do
   end subroutine stress_slopes
+
+  !> The weight of h in slope : dL, where L = G varies by dL = h - [L, h]/2 + [L, [L, h]]/12 - ...
+  pure function adjoint_of_logarithm(G, slope) result(E)
+    real(dp), intent(in), dimension(LANES, 3, 3) :: G, slope
+    real(dp), dimension(LANES, 3, 3) :: E, first, second, fourth
+    first = commutator(G, slope)
+    second = commutator(G, first)
+    fourth = commutator(G, commutator(G, second))
+    E = slope - first / 2 + second / 12 - fourth / 720
+  end function adjoint_of_logarithm
 
   !> R -> G^T R - R G^T, so that (its result) : h = R : [G, h].
   pure function commutator(G, R) result(adjoint)
@@ -383,22 +593,38 @@ contains
     real(dp), intent(in) :: x(:, :, :)               ! (LANES, d, nodes)
     real(dp), intent(out) :: spatial(:, :, :)        ! (LANES, 3, nodes)
     real(dp), intent(out) :: det(LANES)
-    real(dp) :: J_x(LANES, 3, 3), inverse(LANES, 3, 3)
-    integer :: a, i, j, d
+    real(dp) :: inverse(LANES, 3, 3)
+    call inverse_jacobian(reference, x, inverse, det)
+    call to_spatial(reference, inverse, spatial)
+  end subroutine spatial_gradients
 
-    d = size(x, 2)
+  !> The inverse of the map's derivative from the reference cell, where the nodes are at x, and its determinant before inversion.
+  pure subroutine inverse_jacobian(reference, x, inverse, det)
+    real(dp), intent(in) :: reference(:, :)          ! (nodes, d)
+    real(dp), intent(in) :: x(:, :, :)               ! (LANES, d, nodes)
+    real(dp), intent(out) :: inverse(LANES, 3, 3)
+    real(dp), intent(out) :: det(LANES)
+    real(dp) :: J_x(LANES, 3, 3)
     J_x = jacobian(reference, x)
-    if (d == 2) J_x(:, 3, 3) = 1
+    if (size(x, 2) == 2) J_x(:, 3, 3) = 1
     call invert(J_x, inverse, det)
+  end subroutine inverse_jacobian
+
+  !> Derivatives by position of functions whose derivatives by reference coordinates are given.
+  pure subroutine to_spatial(reference, inverse, spatial)
+    real(dp), intent(in) :: reference(:, :)          ! (functions, d)
+    real(dp), intent(in) :: inverse(LANES, 3, 3)
+    real(dp), intent(out) :: spatial(:, :, :)        ! (LANES, 3, functions)
+    integer :: a, i, j
     spatial = 0
     do a = 1, size(reference, 1)
-      do j = 1, d
-        do i = 1, d
+      do j = 1, size(reference, 2)
+        do i = 1, size(reference, 2)
           spatial(:LANES, j, a) = spatial(:LANES, j, a) + reference(a, i) * inverse(:, i, j)
         end do
       end do
     end do
-  end subroutine spatial_gradients
+  end subroutine to_spatial
 
   !> J(:, i, j): the derivative of component i of what the nodes have by reference coordinate j.
   pure function jacobian(reference, nodal) result(J)

@@ -27,6 +27,8 @@ complete_parameters = _core.granumat_complete_parameters
 element_gradients = _core.granumat_element_gradients
 element_forces = _core.granumat_element_forces
 element_stiffness = _core.granumat_element_stiffness
+element_helmholtz = _core.granumat_element_helmholtz
+element_coupling = _core.granumat_element_coupling
 
 
 def constant_ranges() -> dict[str, tuple[float, float, bool]]:
