@@ -73,6 +73,8 @@ class ReferenceCell:
         Shape functions at the integration points.
     gradients : array (points, d, nodes)
         Their derivatives by reference coordinates.
+    vertex_values, vertex_gradients : array (points, vertices), (points, d, vertices)
+        The same of the element of degree 1, whose nodes are the vertices, the first of all nodes.
     facets : list of FacetTable
         One for each local facet.
     """
@@ -85,6 +87,10 @@ class ReferenceCell:
         table = element.tabulate(1, points)[..., 0]
         self.values = np.ascontiguousarray(table[0])
         self.gradients = np.ascontiguousarray(table[1:].transpose(1, 0, 2))
+        linear = basix.create_element(basix.ElementFamily.P, cell, 1, basix.LagrangeVariant.gll_warped)
+        table = linear.tabulate(1, points)[..., 0]
+        self.vertex_values = np.ascontiguousarray(table[0])
+        self.vertex_gradients = np.ascontiguousarray(table[1:].transpose(1, 0, 2))
         d = len(basix.topology(cell)) - 1
         vertices = basix.geometry(cell)
         self.facets = []

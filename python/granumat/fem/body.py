@@ -149,9 +149,40 @@ class Body:
         tangent : array (cells, points per cell, 6, 9), or (cells, points per cell, 4, 4) in plane strain
             d stress / d (strain, spin) of the increment.
         stiffness : array (cells, n, n)
-            n = nodes per cell times d.
+            n = nodes per cell times their unknowns, of which the first d are displacements; the others are left alone.
         """
         core.element_stiffness(self._mean_dilatation, self.element.gradients, x, volumes, gradients, stress, tangent, stiffness)
+
+    def helmholtz(self, x: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
+        """Matrices of m - length^2 div grad m, m of degree 1, and volumes, where the cells' nodes are at x (cells, nodes per cell, d).
+
+        Returns
+        -------
+        matrices : array (cells, vertices per cell, vertices per cell)
+        volumes : array (cells, points per cell)
+        """
+        element = self.element
+        return core.element_helmholtz(element.gradients, element.vertex_values, element.vertex_gradients, element.weights, x, length)
+
+    def coupling(self, x: np.ndarray, volumes: np.ndarray, old_volumes: np.ndarray, gradients: np.ndarray, by_nonlocal: np.ndarray,
+                 matrices: np.ndarray, scale: float, stiffness: np.ndarray) -> None:
+        """Writes the derivatives that have to do with m into stiffness (cells, n, n), n = nodes per cell times d + 1.
+
+        They are those of the internal forces by m, and `scale` times those of what the equations of m lack: matrices m less the
+        integrals of abs(D) over old_volumes.
+
+        Parameters
+        ----------
+        x, volumes, gradients
+            As in internal_stiffness.
+        old_volumes, matrices
+            Of `helmholtz` at the start of the increment.
+        by_nonlocal : array (cells, points per cell, 6), or (cells, points per cell, 4) in plane strain
+            d stress / d m.
+        scale : float
+        """
+        core.element_coupling(self._mean_dilatation, self.element.gradients, self.element.vertex_values, x, volumes, old_volumes,
+                              gradients, by_nonlocal, matrices, scale, stiffness)
 
 
 def _truth_values(where: Callable[[np.ndarray], Any], x: np.ndarray) -> np.ndarray:

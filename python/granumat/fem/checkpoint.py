@@ -16,7 +16,7 @@ from ..checks import refuse
 from ..core import STATE
 from ..files import naming, replacing
 from .cellwise import CellOrder, on_rank_0
-from .conditions import Pressure, Traction
+from .conditions import NonlocalStrain, Pressure, Traction
 from .errors import format_position
 from .output import Output
 from .problem import Problem
@@ -107,13 +107,14 @@ def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
     return {"places": at_cells(problem.positions), "displacement": at_cells(problem.displacement), "u": at_cells(last.u),
             "states": problem.states.reshape(points), "shear_strain": problem.shear_strain.reshape(points),
             "volume_strain": problem.volume_strain.reshape(points), "gradients": last.gradients.reshape(*points, 3, 3),
-            "volumes": last.volumes, "stress": last.stress, "forces": last.forces}
+            "volumes": last.volumes, "stress": last.stress, "forces": last.forces,
+            **({"m": at_cells(last.m)} if problem.length > 0 else {})}
 
 
 def _fingerprint(problem: Problem, t: float) -> dict[str, Any]:
     """What must be the same in the problem that is resumed at pseudo-time t; the same on all ranks."""
     material = {f"material's {name}": value for name, value in problem.material.definition.items()}
-    return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "dimension": problem.d,
+    return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "length": problem.length, "dimension": problem.d,
             "shape of the cells": problem.mesh.topology.cell_type.name, "number of cells": problem.comm.allreduce(problem.cells),
             "gravity": _comparable(problem.gravity, t), "initial state": _comparable(problem.initial, t),
             **{f"condition {number} ({type(condition).__name__}), {name}": _comparable(_load(condition, value, t), t)
@@ -122,7 +123,7 @@ def _fingerprint(problem: Problem, t: float) -> dict[str, Any]:
 
 def _load(condition: object, value: Any, t: float) -> Any:
     """An attribute of a condition; of a load that is a function of Python its value at a time."""
-    is_load = isinstance(condition, (Pressure, Traction)) and value is condition.value
+    is_load = isinstance(condition, (NonlocalStrain, Pressure, Traction)) and value is condition.value
     return value(t) if is_load and callable(value) and not is_dataclass(value) else value
 
 
@@ -205,7 +206,8 @@ def _shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     """The shapes of what a checkpoint keeps of a cell, as _cell_arrays."""
     nodes, points = (problem.body.cell_nodes.shape[1], problem.d), (len(problem.body.element.weights),)
     return {"places": nodes, "displacement": nodes, "u": nodes, "states": points, "shear_strain": points, "volume_strain": points,
-            "gradients": (*points, 3, 3), "volumes": points, "stress": (*points, 6), "forces": nodes}
+            "gradients": (*points, 3, 3), "volumes": points, "stress": (*points, 6), "forces": nodes,
+            **({"m": nodes[:1]} if problem.length > 0 else {})}
 
 
 def _compare(path: str | Path, saved: dict[str, Any], fingerprint: dict[str, Any], arrays: dict[str, np.ndarray],
@@ -229,7 +231,7 @@ def _compare(path: str | Path, saved: dict[str, Any], fingerprint: dict[str, Any
 def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[str, np.ndarray]) -> Snapshot:
     """The snapshot that a description and arrays of this rank's cells, ghosts last, are of."""
     def at_nodes(name: str) -> np.ndarray:
-        nodal = np.zeros_like(problem.positions)
+        nodal = np.zeros((len(problem.positions), *cell_arrays[name].shape[2:]))
         nodal[problem.body.cell_nodes_with_ghosts] = cell_arrays[name]
         return nodal
 
@@ -241,7 +243,9 @@ def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[s
         return values.reshape(-1, *values.shape[2:])
 
     numbers, states = description["numbers"], at_points("states").view(np.recarray)
-    last = Trial(numbers["t"], numbers["last_duration"], at_nodes("u"), states, at_points("gradients"), at_own_cells("volumes"),
-                 at_own_cells("stress"), at_own_cells("forces"), description["residual"], tuple(description["residuals"]))
+    m = at_nodes("m") if problem.length > 0 else np.empty(0)
+    last = Trial(numbers["t"], numbers["last_duration"], at_nodes("u"), m, states, at_points("gradients"), at_own_cells("volumes"),
+                 at_own_cells("stress"), at_own_cells("forces"), residual=description["residual"],
+                 residuals=tuple(description["residuals"]))
     return Snapshot(numbers["t"], numbers["increments"], numbers["next_increment"], at_nodes("displacement"), states,
                     at_points("shear_strain"), at_points("volume_strain"), last)

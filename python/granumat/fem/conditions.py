@@ -1,4 +1,4 @@
-"""What holds and loads a body: displacements, ties, periodic sides, pressures and tractions on parts of its boundary.
+"""What holds and loads a body: displacements, ties, periodic sides, pressures and tractions on parts of its boundary; given m.
 
 Every condition acts on a part of the boundary, `where`: a function of positions x (3, n) that returns n truth values, as DOLFINx
 has it, or a number or several of the facet tags that the Problem was given.
@@ -102,6 +102,21 @@ class Traction:
 
     where: Where
     value: Sequence[float] | Callable[[float], Sequence[float]]
+
+
+@dataclass(frozen=True)
+class NonlocalStrain:
+    """The nonlocal strain m of a problem with a length is given; elsewhere on the boundary n . grad m = 0.
+
+    Attributes
+    ----------
+    where : function or tags
+    value : number or function of t
+        m per unit of pseudo-time, at least 0, at the end of the increment.
+    """
+
+    where: Where
+    value: float | Callable[[float], float]
 
 
 def polar(center: Sequence[float] = (0.0, 0.0)) -> Axes:

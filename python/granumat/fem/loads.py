@@ -66,9 +66,11 @@ class Loads:
                 factor = -pressure * outward[:, None] * weights
                 forces[cells] += np.einsum("cp,pa,cpi->cai", factor, values, normals, optimize=True)
                 if stiffness is not None:
+                    nodes = x.shape[1]
+                    of_nodes = stiffness.reshape(len(stiffness), nodes, -1, nodes, stiffness.shape[1] // nodes)
                     block = np.einsum("cp,pa,cpsij,psb->caibj", factor, values, _normal_derivatives(tangents), derivatives,
                                       optimize=True)
-                    stiffness[cells] -= block.reshape(len(cells), *stiffness.shape[1:])
+                    of_nodes[cells, :, :self._body.d, :, :self._body.d] -= block
         return forces
 
 

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from ..checks import attempt, real_array, refuse
 from .body import Body
 from .cellwise import together
-from .conditions import Displacement, Periodic, Tied
+from .conditions import Displacement, NonlocalStrain, Periodic, Tied
 from .errors import format_position
 
 PRESCRIBED = -1                     # the label of a component whose value is prescribed
@@ -25,23 +25,27 @@ ORTHONORMALITY = 1e-9               # largest error of local axes, and differenc
 
 
 class Numbering:
-    """Which equation every displacement component belongs to.
+    """Which equation every unknown of a node belongs to: a displacement component, or with a length the nonlocal strain m.
 
     Parameters
     ----------
     body : Body
     conditions : sequence
-        Of those of other types than Displacement, Tied and Periodic, which are left to Loads, only the place is checked.
+        Of those of other types than Displacement, Tied, Periodic and NonlocalStrain, which are left to Loads, only the place is
+        checked.
+    has_length : bool
+        Whether there is an unknown m beside the d displacement components, the last one of a node. It has an axis of its own, and
+        periodic nodes share it.
 
     Attributes
     ----------
-    labels : int array (nodes, d)
-        Number of the equation among those of all ranks, or PRESCRIBED, for a node's components along its axes.
+    labels : int array (nodes, unknowns)
+        Number of the equation among those of all ranks, or PRESCRIBED, for a node's components along its axes; d unknowns, or d + 1.
     cell_labels : int array (cells, n)
-        The same for the rows of the cells' matrices, n = nodes per cell times d.
-    axes : array (nodes, d, d)
+        The same for the rows of the cells' matrices, n = nodes per cell times unknowns.
+    axes : array (nodes, unknowns, unknowns)
         Local axes of the nodes, in columns.
-    is_prescribed : bool array (nodes, d)
+    is_prescribed : bool array (nodes, unknowns)
 
     Raises
     ------
@@ -49,21 +53,26 @@ class Numbering:
         Names every condition that does not fit the mesh or contradicts another one; the same on all ranks.
     """
 
-    def __init__(self, body: Body, conditions: Sequence[object]) -> None:
-        count, d = body.positions.shape
+    def __init__(self, body: Body, conditions: Sequence[object], has_length: bool = False) -> None:
+        count, unknowns = len(body.positions), body.d + has_length
         self._body, self._comm = body, body.comm
         numbers = np.asarray(body.space.dofmap.index_map.local_to_global(np.arange(count, dtype=np.int32)), np.int64)
-        self.labels = numbers[:, None] * d + np.arange(d)
+        self.labels = numbers[:, None] * unknowns + np.arange(unknowns)
         self._own_labels = self.labels.copy()
-        self.axes = np.tile(np.eye(d), (count, 1, 1))
+        self.axes = np.tile(np.eye(unknowns), (count, 1, 1))
         self._has_own_axes = np.zeros(count, bool)
         self._values: list[tuple[np.ndarray, list[int], Displacement]] = []    # with their nodes and components
+        self._nonlocal_values: list[tuple[np.ndarray, NonlocalStrain]] = []
         faults: list[str] = []
 
         placed = [(condition, self._place(condition, f"condition {number} ({type(condition).__name__})", faults))
                   for number, condition in enumerate(conditions)]
         self._label_tied([(condition, nodes) for condition, nodes in placed if isinstance(condition, Tied)])
         self._label_prescribed([(condition, nodes) for condition, nodes in placed if isinstance(condition, Displacement)])
+        for condition, nodes in placed:
+            if isinstance(condition, NonlocalStrain):
+                self.labels[nodes, -1] = PRESCRIBED
+                self._nonlocal_values.append((nodes, condition))
         for condition, nodes in placed:
             if isinstance(condition, Tied) and self._comm.allreduce(
                     bool((self.labels[nodes, condition.component] == PRESCRIBED).any()), MPI.LOR):
@@ -89,16 +98,16 @@ class Numbering:
         return nodes
 
     def _set_axes(self, nodes: np.ndarray, axes: Callable, name: str, faults: list[str]) -> None:
-        frames = np.asarray(axes(self._body.positions[nodes]))
-        if frames.shape != self.axes[nodes].shape:
-            faults.append(f"{name}: its axes are of shape {frames.shape} for {len(nodes)} nodes: must be {self.axes[nodes].shape}")
+        frames, d = np.asarray(axes(self._body.positions[nodes])), self._body.d
+        if frames.shape != (len(nodes), d, d):
+            faults.append(f"{name}: its axes are of shape {frames.shape} for {len(nodes)} nodes: must be {(len(nodes), d, d)}")
             return
-        if not np.allclose(frames.transpose(0, 2, 1) @ frames, np.eye(self._body.d), atol=ORTHONORMALITY):
+        if not np.allclose(frames.transpose(0, 2, 1) @ frames, np.eye(d), atol=ORTHONORMALITY):
             faults.append(f"{name}: its axes are not orthonormal")
         before = self._has_own_axes[nodes]
-        if not np.allclose(self.axes[nodes][before], frames[before], atol=ORTHONORMALITY):
+        if not np.allclose(self.axes[nodes, :d, :d][before], frames[before], atol=ORTHONORMALITY):
             faults.append(f"{name}: some nodes have other axes by another condition")
-        self.axes[nodes], self._has_own_axes[nodes] = frames, True
+        self.axes[nodes, :d, :d], self._has_own_axes[nodes] = frames, True
 
     def _label_tied(self, ties: list[tuple[Tied, np.ndarray]]) -> None:
         """Each tie has one equation, the smallest of its nodes' over all ranks."""
@@ -125,7 +134,7 @@ class Numbering:
         """Gives nodes the labels of the nodes at the partners' positions (n, d), whichever rank owns these."""
         partners_by_rank = self._comm.allgather(partners)
         all_partners = np.concatenate(partners_by_rank)
-        found = np.full((len(all_partners), self._body.d), ABSENT, np.int64)
+        found = np.full((len(all_partners), self.labels.shape[1]), ABSENT, np.int64)
         owned = self._body.owned_nodes
         if owned and len(all_partners):
             distance, nearest = cKDTree(self._body.positions[:owned]).query(all_partners)
@@ -141,8 +150,10 @@ class Numbering:
             faults.append("Periodic: a displacement is given on the part, but not on its partner")
         self.labels[nodes] = labels
 
-    def prescribed(self, t: float) -> np.ndarray:
-        """Prescribed total displacements (nodes, d) along the nodes' axes at pseudo-time t, 0 where the component is free.
+    def prescribed(self, t: float, duration: float = 0.0) -> np.ndarray:
+        """Prescribed total displacements (nodes, unknowns) along the nodes' axes at pseudo-time t, 0 where the component is free.
+
+        The last unknown is m of an increment of this duration that ends at t, if there is a length.
 
         Raises
         ------
@@ -150,38 +161,42 @@ class Numbering:
             They are not finite, or not of the right shape, on one of the ranks; the same on all of them.
         """
         def values() -> np.ndarray:
-            values = np.zeros(self._body.positions.shape)
+            values, d = np.zeros(self.labels.shape), self._body.d
             for nodes, components, displacement in self._values:
                 vectors = _vectors(displacement.value, self._body.positions[nodes], t)
-                values[nodes[:, None], components] = np.einsum("nij,ni->nj", self.axes[nodes], vectors)[:, components]
+                values[nodes[:, None], components] = np.einsum("nij,ni->nj", self.axes[nodes, :d, :d], vectors)[:, components]
+            for nodes, condition in self._nonlocal_values:
+                values[nodes, -1] = duration * _rate(condition.value, t)
             return values
         return together(self._comm, values)
 
     def free_motions(self) -> list[str]:
         """Rigid motions, in words, that neither prescribed displacements, ties nor periodic sides hinder; collective."""
-        motions = np.einsum("nij,nim->njm", self.axes, _rigid_motions(self._body.positions / self._body.size))
-        tied = self.labels != self._own_labels                   # prescribed, or with the equation of another component
-        wanted = set().union(*self._comm.allgather(set(self.labels[tied].tolist())))
-        owned = self._own_labels[:self._body.owned_nodes]
+        d = self._body.d
+        motions = np.einsum("nij,nim->njm", self.axes[:, :d, :d], _rigid_motions(self._body.positions / self._body.size))
+        labels, own_labels = self.labels[:, :d], self._own_labels[:, :d]
+        tied = labels != own_labels                              # prescribed, or with the equation of another component
+        wanted = set().union(*self._comm.allgather(set(labels[tied].tolist())))
+        owned = own_labels[:self._body.owned_nodes]
         sought = np.isin(owned, list(wanted))
         mine = dict(zip(owned[sought].tolist(), motions[:self._body.owned_nodes][sought]))
         by_label = dict(ChainMap({PRESCRIBED: np.zeros(motions.shape[2])}, *self._comm.allgather(mine)))
-        same = np.array([by_label[label] for label in self.labels[tied].tolist()])
+        same = np.array([by_label[label] for label in labels[tied].tolist()])
         differences = motions[tied] - same.reshape(-1, motions.shape[2])
         hindrance, combinations = np.linalg.eigh(self._comm.allreduce(differences.T @ differences))
         free = combinations[:, hindrance <= FREE * max(1.0, hindrance[-1])]
         return [name for name, shares in zip(MOTIONS[self._body.d], free) if np.linalg.norm(shares) > SHARE]
 
     def to_axes(self, vectors: np.ndarray) -> np.ndarray:
-        """Components (nodes, d) along the nodes' axes of vectors (nodes, d) along x y (z)."""
+        """Components (nodes, unknowns) along the nodes' axes of vectors (nodes, unknowns) along x y (z)."""
         return np.einsum("nij,ni->nj", self.axes, vectors)
 
     def from_axes(self, vectors: np.ndarray) -> np.ndarray:
-        """Components (nodes, d) along x y (z) of vectors (nodes, d) along the nodes' axes."""
+        """Components (nodes, unknowns) along x y (z) of vectors (nodes, unknowns) along the nodes' axes."""
         return np.einsum("nij,nj->ni", self.axes, vectors)
 
     def forces_to_axes(self, forces: np.ndarray) -> np.ndarray:
-        """Cells' forces (cells, nodes per cell, d) along the nodes' axes, as the rows (cells, n) of the cells' matrices."""
+        """Cells' forces (cells, nodes per cell, unknowns) along the nodes' axes, as the rows (cells, n) of the cells' matrices."""
         rotated = self._rotated_cells
         if len(rotated):
             forces = forces.copy()
@@ -193,7 +208,8 @@ class Numbering:
         rotated = self._rotated_cells
         if len(rotated):
             axes = self.axes[self._body.cell_nodes[rotated]]
-            blocks = stiffness[rotated].reshape(len(rotated), -1, self._body.d, axes.shape[1], self._body.d)
+            unknowns = self.labels.shape[1]
+            blocks = stiffness[rotated].reshape(len(rotated), -1, unknowns, axes.shape[1], unknowns)
             blocks = np.einsum("caik,caibj,cbjl->cakbl", axes, blocks, axes, optimize=True)
             stiffness[rotated] = blocks.reshape(len(rotated), *stiffness.shape[1:])
 
@@ -206,6 +222,14 @@ def _rigid_motions(x: np.ndarray) -> np.ndarray:
     for number, (i, j) in enumerate([(0, 1)] if d == 2 else [(1, 2), (2, 0), (0, 1)], d):
         motions[:, i, number], motions[:, j, number] = -x[:, j], x[:, i]
     return motions
+
+
+def _rate(value: Any, t: float) -> float:
+    """The m per unit of pseudo-time that a value of NonlocalStrain gives; ValueError where it is none."""
+    rate = real_array("a NonlocalStrain's value", value(t) if callable(value) else value)
+    if rate.shape != () or not 0 <= rate < np.inf:
+        raise ValueError(f"a NonlocalStrain's value at t = {t:g} is {rate.tolist()}: must be a finite number, at least 0")
+    return float(rate)
 
 
 def _vectors(value: Any, x: np.ndarray, t: float) -> np.ndarray:

@@ -17,9 +17,10 @@ from ..material import Material
 from ._compat import FacetTags
 from .body import ELEMENT_FAILURES, Body
 from .cellwise import together
-from .conditions import Displacement, Periodic, Pressure, Tied, Traction, Where
+from .conditions import Displacement, NonlocalStrain, Periodic, Pressure, Tied, Traction, Where
 from .errors import format_position
 from .loads import Loads
+from .nonlocal_field import NonlocalField, warn_of_closure
 from .numbering import Numbering
 from .system import System
 from .trial import Snapshot, Trial
@@ -29,8 +30,9 @@ SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step 
 PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
 DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
 STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
-KINDS = (Displacement, Tied, Periodic, Pressure, Traction)
+KINDS = (Displacement, Tied, Periodic, Pressure, Traction, NonlocalStrain)
 STOPPED = "it was given up"
+NONLOCAL_ROUND_OFF = 1e-12          # of m, a strain
 UNJAMMED_STIFFNESS = 1e-6           # in k/d: where -tr(stress) is less, it is added to the tangent alone, against singular matrices
 
 
@@ -43,9 +45,9 @@ class Tolerances:
     Attributes
     ----------
     force : float
-        Norm of the residual forces, relative to that of all cells' internal forces.
+        Norm of the residual forces, relative to that of all cells' internal forces; with a length also of the equations of m.
     correction : float
-        Largest displacement of the last correction, relative to the largest one of the increment.
+        Largest displacement of the last correction, relative to the largest one of the increment; with a length also of m.
     iterations : int
         Largest number of Newton iterations.
     """
@@ -67,13 +69,16 @@ class Problem:
     material : granumat.Material
     state : record of dtype STATE, or function of x (points, d)
         Initial state; a function returns records (points).
-    conditions : sequence of Displacement, Tied, Periodic, Pressure, Traction
+    conditions : sequence of Displacement, Tied, Periodic, Pressure, Traction, NonlocalStrain
     degree : 1 or 2
     gravity : sequence (d), optional
         Weight of the solid per volume of the solid, in units of stress per length.
     rate_term : float, optional
         alpha: the stress alpha p S, S the rate of deviatoric strain per unit of pseudo-time, is added to the material's. It
         regularises what the law leaves ill-posed, at an error of alpha p times the shear rate.
+    length : float, optional
+        l, in the units of the mesh: the nonlocal strain m, with m - l^2 div grad m = abs(D), is solved for beside the displacements,
+        and is the clock of the material's relaxation. Then bodies do not localise in one row of cells. 0: no length.
     facet_tags : dolfinx.mesh.MeshTags, optional
         What numbers in the conditions' `where` mean.
     tolerances : Tolerances, optional
@@ -104,6 +109,8 @@ class Problem:
         Mesh, elements, parts of the boundary.
     numbering : Numbering
         Which equation each displacement component belongs to.
+    nonlocal_field : NonlocalField or None
+        What the nonlocal strain obeys; None without a length.
     loads : Loads
     system : System
         The linear equations; system.size is the number of unknowns of all ranks.
@@ -117,22 +124,27 @@ class Problem:
     """
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, material: Material, state: np.void | Callable, conditions: Sequence[object] = (), *,
-                 degree: int = 1, gravity: Sequence[float] | None = None, rate_term: float = 0.0,
+                 degree: int = 1, gravity: Sequence[float] | None = None, rate_term: float = 0.0, length: float = 0.0,
                  facet_tags: FacetTags | None = None, tolerances: Tolerances = Tolerances(),
                  solver: dict[str, object] | None = None) -> None:
         check_type("mesh", mesh, dolfinx.mesh.Mesh, "a dolfinx.mesh.Mesh")
         check_type("material", material, Material, "a Material")
         check_type("tolerances", tolerances, Tolerances, "a Tolerances")
         check_type("solver", solver, (dict, NoneType), "a dict of PETSc options")
-        refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term))
+        refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term, length))
         self.material, self.degree, self.conditions = material, degree, tuple(conditions)
         self.rate_term, self.gravity, self.initial, self.tolerances = rate_term, gravity, state, tolerances
+        self.length = length
         self.body = Body(mesh, degree, facet_tags)
         self.mesh, self.space, self.comm, self.d = mesh, self.body.space, self.body.comm, self.body.d
         self.cells, self.positions = self.body.cells, self.body.positions
-        self.numbering = Numbering(self.body, self.conditions)
-        self.system = System(self.comm, self.body.owned_nodes * self.d, self.d, self.numbering.cell_labels, self.numbering.labels,
-                             solver or {})
+        self.numbering = Numbering(self.body, self.conditions, length > 0)
+        unknowns = self.numbering.labels.shape[1]
+        self.system = System(self.comm, self.body.owned_nodes * unknowns, self.d, self.numbering.cell_labels,
+                             self.numbering.labels, solver or {})
+        self.nonlocal_field = NonlocalField(self.body, length, self.numbering) if length > 0 else None
+        if length > 0:
+            warn_of_closure(material)
 
         self.t, self.increments = 0.0, 0
         self.last: Trial | None = None
@@ -173,7 +185,7 @@ class Problem:
 
     def lag_of_prescribed(self) -> tuple[float, np.ndarray]:
         """How far the displacements are from those prescribed now at most, and the position at the start where; collective."""
-        lag = abs(self.numbering.prescribed(self.t) - self.numbering.to_axes(self.displacement))
+        lag = abs(self.numbering.prescribed(self.t) - self._in_axes(self.displacement))
         lag = np.where(self.numbering.is_prescribed, lag, 0).max(axis=1, initial=0.0)
         node = int(np.argmax(lag)) if len(lag) else None
         own = (0.0, []) if node is None else (float(lag[node]), self.positions[node].tolist())
@@ -234,14 +246,13 @@ class Problem:
 
     def _newton(self, duration: float, residuals: list[float], stop: Callable[[], object]) -> Trial:
         """Newton's method with a line search; appends the residual of the first guess and of every iteration to residuals."""
-        target = self.numbering.prescribed(self.t + duration) - self.numbering.to_axes(self.displacement)
-        round_off = DISPLACEMENT_ROUND_OFF * self.body.size
+        target = self.numbering.prescribed(self.t + duration, duration) - self._in_axes(self.displacement)
         trial, tangent = self.evaluate(self._predictor(target, duration), duration, with_tangent=True)
         if trial.failure:
-            trial, tangent = self.evaluate(np.zeros_like(self.displacement), duration, with_tangent=True)
+            trial, tangent = self.evaluate(np.zeros(self.numbering.labels.shape), duration, with_tangent=True)
         residuals.append(trial.residual)
         if (trial.residual <= PREDICTOR_TOLERANCE * self.tolerances.force
-                and self.body.largest(self._prescribed_correction(target, trial)) <= round_off):
+                and self.body.largest(self._prescribed_correction(target, trial)) <= self._round_off):
             return trial
         for _ in range(self.tolerances.iterations):
             if trial.failure:
@@ -254,8 +265,7 @@ class Problem:
             correction = self._correction(trial, stiffness, prescribed)
             if correction is None:
                 return replace(trial, failure="the linear solver does not converge")
-            small = self.tolerances.correction * self.body.largest(trial.u + correction) + round_off
-            expect_last = trial.residual <= self.tolerances.force or self.body.largest(correction) <= small
+            expect_last = trial.residual <= self.tolerances.force or self._is_small(correction, trial)
             trial, tangent, step = self._line_search(trial, correction, prescribed, with_tangent=not expect_last)
             residuals.append(trial.residual)
             if expect_last and step == 1 and not trial.failure and trial.residual <= self.tolerances.force:
@@ -264,31 +274,67 @@ class Problem:
                                       f"after {self.tolerances.iterations} iterations")
 
     def _predictor(self, target: np.ndarray, duration: float) -> np.ndarray:
-        """First guess (nodes, d): the last increment, scaled as the prescribed displacements are by least squares.
+        """First guess (nodes, unknowns): the last increment, scaled as the prescribed displacements are by least squares.
 
-        The factor is negative where all of them reverse. Without prescribed displacements it is the ratio of the durations.
+        The factor is negative where all of them reverse, but m keeps its sign. Without prescribed displacements it is the ratio of
+        the durations.
         """
         if self.last is None:
-            return np.zeros_like(self.displacement)
-        before = np.where(self.numbering.is_prescribed, self.numbering.to_axes(self.last.u), 0)
-        owned = self.body.owned_nodes
+            return np.zeros(self.numbering.labels.shape)
+        before = np.where(self.numbering.is_prescribed, self.numbering.to_axes(self.last.unknowns), 0)[:, :self.d]
+        target, owned = target[:, :self.d], self.body.owned_nodes
         product, square = self.comm.allreduce(np.array([(target * before)[:owned].sum(), (before**2)[:owned].sum()]))
-        return self.last.u * (product / square if square > 0 else duration / self.last.duration)
+        guess = self.last.unknowns * (product / square if square > 0 else duration / self.last.duration)
+        guess[:, self.d:] = abs(guess[:, self.d:])
+        return guess
+
+    @property
+    def _round_off(self) -> float:
+        """Of displacements."""
+        return DISPLACEMENT_ROUND_OFF * self.body.size
+
+    def _in_axes(self, displacement: np.ndarray) -> np.ndarray:
+        """A displacement (nodes, d) along the nodes' axes, with as many columns as a node has unknowns."""
+        unknowns = self.numbering.labels.shape[1]
+        return self.numbering.to_axes(np.pad(displacement, ((0, 0), (0, unknowns - self.d))))
 
     def _prescribed_correction(self, target: np.ndarray, trial: Trial) -> np.ndarray:
-        """What a trial's displacements lack of the prescribed ones (nodes, d), along the nodes' axes, 0 where free."""
-        return np.where(self.numbering.is_prescribed, target - self.numbering.to_axes(trial.u), 0)
+        """What a trial's unknowns lack of the prescribed ones (nodes, unknowns), along the nodes' axes, 0 where free."""
+        return np.where(self.numbering.is_prescribed, target - self.numbering.to_axes(trial.unknowns), 0)
+
+    def _is_small(self, correction: np.ndarray, trial: Trial) -> bool:
+        """Whether a correction (nodes, unknowns) of a trial is within the tolerance; collective."""
+        def is_small(change: np.ndarray, before: np.ndarray, round_off: float) -> bool:
+            return self.body.largest(change) <= self.tolerances.correction * self.body.largest(before + change) + round_off
+
+        return is_small(correction[:, :self.d], trial.u, self._round_off) and (
+            self.nonlocal_field is None or is_small(correction[:, self.d], trial.m, NONLOCAL_ROUND_OFF))
 
     def _correction(self, trial: Trial, stiffness: np.ndarray, prescribed: np.ndarray) -> np.ndarray | None:
-        """Newton's correction (nodes, d) along x y (z), with its prescribed part; None if the linear solver fails."""
-        forces = self.numbering.forces_to_axes(trial.forces)
+        """Newton's correction (nodes, unknowns) along x y (z), with its prescribed part; None if the linear solver fails."""
+        forces = self._rows(trial.forces)
+        if self.nonlocal_field is not None:
+            forces = self._rows(trial.forces, self.nonlocal_field.scale(trial.m, self.states["stress"]) * trial.nonlocal_residuals)
         if prescribed.any():
             forces = forces + np.einsum("crk,ck->cr", stiffness, self.body.at_cells(prescribed).reshape(self.cells, -1))
         solution = self.system.solve(-forces)
-        return None if solution is None else self.numbering.from_axes(solution + prescribed)
+        if solution is None:
+            return None
+        correction = self.numbering.from_axes(solution + prescribed)
+        if self.nonlocal_field is not None and self.body.largest(trial.m) == 0:         # from rest, where m has no derivative
+            u = trial.u + correction[:, :self.d]
+            gradients = self.body.kinematics(self._cell_positions(), self.body.at_cells(u))[0].reshape(-1, 3, 3)
+            correction[:, self.d] = self.nonlocal_field.solve(self.displacement, gradients, prescribed[:, self.d])
+        return correction
+
+    def _rows(self, forces: np.ndarray, of_m: np.ndarray | float = 0.0) -> np.ndarray:
+        """Cells' forces (cells, nodes per cell, d), and what belongs to m (cells, nodes per cell), as rows of the cells' matrices."""
+        if self.nonlocal_field is not None:
+            forces = np.concatenate([forces, np.broadcast_to(of_m, forces.shape[:2])[..., None]], axis=2)
+        return self.numbering.forces_to_axes(forces)
 
     def _line_search(self, trial: Trial, correction: np.ndarray, prescribed: np.ndarray,
-                     with_tangent: bool) -> tuple[Trial, np.ndarray | None, float]:
+                     with_tangent: bool) -> tuple[Trial, tuple[np.ndarray, ...] | None, float]:
         """The longest of the steps 1, 1/2, ... of a correction that decreases the residual, or the best of them.
 
         While prescribed displacements change, any step that can be evaluated will do: the residual before belongs to other ones.
@@ -296,14 +342,14 @@ class Problem:
         Returns
         -------
         trial : Trial
-        tangent : array or None
+        tangent : tuple of arrays or None
             The material's, if it was asked for and the full step is taken.
         step : float
         """
         residuals_compare = self.body.largest(prescribed) <= DISPLACEMENT_ROUND_OFF * self.body.largest(correction)
         step, best = 1.0, None
         while step >= SHORTEST_STEP:
-            candidate, tangent = self.evaluate(trial.u + step * correction, trial.duration, with_tangent and step == 1)
+            candidate, tangent = self.evaluate(trial.unknowns + step * correction, trial.duration, with_tangent and step == 1)
             if not candidate.failure and (not residuals_compare
                                           or candidate.residual <= (1 - SUFFICIENT_DECREASE * step) * trial.residual
                                           or candidate.residual <= self.tolerances.force):
@@ -316,12 +362,13 @@ class Problem:
 
     # ---- residual and stiffness of given displacements -------------------------------------------------------------
 
-    def evaluate(self, u: np.ndarray, duration: float, with_tangent: bool = False) -> tuple[Trial, np.ndarray | None]:
-        """States, forces and residual of displacements in an increment.
+    def evaluate(self, unknowns: np.ndarray, duration: float,
+                 with_tangent: bool = False) -> tuple[Trial, tuple[np.ndarray, ...] | None]:
+        """States, forces and residual of displacements, and with a length of nonlocal strains, in an increment.
 
         Parameters
         ----------
-        u : array (nodes, d)
+        unknowns : array (nodes, d), with a length (nodes, d + 1)
         duration : float
             Of the increment, in pseudo-time.
         with_tangent : bool
@@ -331,10 +378,12 @@ class Problem:
         -------
         trial : Trial
             With a failure, the same on all ranks, if the displacements cannot be evaluated on one of them.
-        tangent : array (points, 6, 9), or (points, 4, 4) in plane strain, or None
-            d stress / d (strain, spin) of the increment, without the rate term; for `stiffness`.
+        tangent : tuple of arrays, or None
+            d stress / d (strain, spin) of the increment, (points, 6, 9), or (points, 4, 4) in plane strain, without the rate term;
+            with a length also d stress / d m, (points, 6) or (points, 4). For `stiffness`.
         """
         t = self.t + duration
+        u, m = unknowns[:, :self.d], unknowns[:, self.d:].ravel()
         x, du = self._cell_positions(), self.body.at_cells(u)
         gradients, volumes, status = self.body.kinematics(x, du)
         gradients = gradients.reshape(-1, 3, 3)
@@ -342,57 +391,73 @@ class Problem:
             first = int(np.flatnonzero(status)[0])
             failures = [f"{ELEMENT_FAILURES[status[first]]} in the cell at {format_position(x[first].mean(axis=0))}"]
         else:
-            states, tangent, failures = self._update(gradients, with_tangent)
+            states, tangent, failures = self._update(gradients, m, with_tangent)
         failures = [failure for of_rank in self.comm.allgather(failures) for failure in of_rank]
         if failures:
-            return Trial(t, duration, u, failure=failures[0]), None
+            return Trial(t, duration, u, m, failure=failures[0]), None
         stress = self._stress(states["stress"], gradients, duration).reshape(*volumes.shape, 6)
         internal = self.body.internal_forces(x + du, volumes, stress)
         forces = internal - self.loads.dead(t) - self.loads.pressures(x + du, t)
         scale = max(np.sqrt(self.comm.allreduce((internal**2).sum())), STRESS_FLOOR * self.body.size**(self.d - 1))
-        residual = self.system.norm(self.numbering.forces_to_axes(forces)) / scale
-        return Trial(t, duration, u, states, gradients, volumes, stress, forces, residual), tangent
+        residual = self.system.norm(self._rows(forces)) / scale
+        nonlocal_residuals = np.empty(0)
+        if self.nonlocal_field is not None:
+            nonlocal_residuals, scale = self.nonlocal_field.residuals(self.displacement, m, gradients)
+            residual = float(np.hypot(residual, self.system.norm(self._rows(np.zeros_like(forces), nonlocal_residuals)) / scale))
+        return Trial(t, duration, u, m, states, gradients, volumes, stress, forces, nonlocal_residuals, residual), tangent
 
-    def stiffness(self, trial: Trial, tangent: np.ndarray | None = None) -> np.ndarray:
-        """Derivatives of a trial's forces by its displacements, along the nodes' axes.
+    def stiffness(self, trial: Trial, tangent: tuple[np.ndarray, ...] | None = None) -> np.ndarray:
+        """Derivatives of a trial's forces, and with a length of the scaled equations of m, by its unknowns, along the nodes' axes.
 
         Parameters
         ----------
         trial : Trial
-        tangent : array, optional
+        tangent : tuple of arrays, optional
             The one that `evaluate` gave with the trial; it is overwritten. Without it the material is evaluated once more.
 
         Returns
         -------
         array (cells, n, n)
-            n = nodes per cell times d; the system's own array, which the next call overwrites.
+            n = nodes per cell times their unknowns; the system's own array, which the next call overwrites.
         """
         if tangent is None:
-            tangent = self._update_with_tangent(trial.gradients)[1]
-        self._complete_tangent(tangent, trial)
+            tangent = self._update_with_tangent(trial.gradients, trial.m)[1]
+        by_gradient, *by_nonlocal = tangent
+        self._complete_tangent(by_gradient, trial)
         x = self.body.at_cells(self.positions + self.displacement + trial.u)
         points = trial.volumes.shape
         stiffness = self.system.cell_matrices
         self.body.internal_stiffness(x, trial.volumes, trial.gradients.reshape(*points, 3, 3), trial.stress,
-                                     tangent.reshape(*points, 2 * self.d, -1), stiffness)
+                                     by_gradient.reshape(*points, 2 * self.d, -1), stiffness)
+        if self.nonlocal_field is not None:
+            self._complete_nonlocal_tangent(by_nonlocal[0], trial)
+            self.nonlocal_field.add_stiffness(self.displacement, trial.u, trial.volumes, trial.gradients.reshape(*points, 3, 3),
+                                              by_nonlocal[0], self.nonlocal_field.scale(trial.m, self.states["stress"]), stiffness)
         self.loads.pressures(x, trial.t, stiffness)
         self.numbering.rotate_stiffness(stiffness)
         return stiffness
 
-    def _update(self, gradients: np.ndarray, with_tangent: bool) -> tuple[np.ndarray, np.ndarray | None, list[str]]:
+    def _update(self, gradients: np.ndarray, m: np.ndarray,
+                with_tangent: bool) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None, list[str]]:
         """The states after an increment, their tangent if it is wanted, and what has failed."""
         try:
             if with_tangent:
-                return *self._update_with_tangent(gradients), []
-            return self.material.update(self.states, gradients), None, []
+                return *self._update_with_tangent(gradients, m), []
+            return self.material.update(self.states, gradients, nonlocal_strain=self._nonlocal_strain(m)), None, []
         except MaterialError as error:
             first = int(np.flatnonzero(error.status)[0])
             place = format_position(self.point_positions()[first])
             return error.states, None, [f"{status_message(error.status[first])} at {place}"]
 
-    def _update_with_tangent(self, gradients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The states and the material's tangent by (strain, spin), (points, 6, 9), or (points, 4, 4) in plane strain."""
-        return self.material.update_with_tangent(self.states, gradients, spin=True, plane=self.d == 2)
+    def _update_with_tangent(self, gradients: np.ndarray, m: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+        """The states and the material's tangent, as in `evaluate`."""
+        states, *tangent = self.material.update_with_tangent(self.states, gradients, spin=True, plane=self.d == 2,
+                                                             nonlocal_strain=self._nonlocal_strain(m))
+        return states, tuple(tangent)
+
+    def _nonlocal_strain(self, m: np.ndarray) -> np.ndarray | None:
+        """The nonlocal strain of the points that m (nodes) gives; None without a length."""
+        return None if self.nonlocal_field is None else self.nonlocal_field.at_points(m)
 
     def _stress(self, stress: np.ndarray, gradients: np.ndarray, duration: float) -> np.ndarray:
         """The material's stress (points, 6) and that of the rate term."""
@@ -417,6 +482,13 @@ class Problem:
             deviator = identity - np.outer(tensors.IDENTITY[:rows], identity[:3].sum(axis=0)) / 3
             tangent += factor * pressure[:, None, None] * deviator
             tangent += factor * shear[:, :rows, None] * pressure_derivative[:, None, :]
+
+    def _complete_nonlocal_tangent(self, by_nonlocal: np.ndarray, trial: Trial) -> None:
+        """Adds the rate term to the material's derivatives by m, which are those of another m, and left out, where m = 0."""
+        by_nonlocal[self._nonlocal_strain(trial.m) == 0] = 0
+        if self.rate_term > 0:
+            shear = tensors.deviator(tensors.symmetric(trial.gradients))[:, :by_nonlocal.shape[1]]
+            by_nonlocal -= self.rate_term / trial.duration * by_nonlocal[:, :3].sum(axis=1)[:, None] / 3 * shear
 
     # ---- what acts on it -------------------------------------------------------------------------------------------
 
@@ -449,7 +521,7 @@ class Problem:
 
 
 def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[object], degree: object, gravity: Any,
-            rate_term: object) -> list[str]:
+            rate_term: object, length: object) -> list[str]:
     """What is wrong with the arguments of Problem."""
     d = mesh.geometry.dim
     faults = []
@@ -461,13 +533,15 @@ def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[ob
         faults.append(f"the mesh has cells of dimension {mesh.topology.dim} in {d} dimensions: must be 2 in 2 or 3 in 3")
     if degree not in (1, 2):
         faults.append(f"degree = {degree!r}: must be 1 or 2")
-    if not is_number(rate_term) or not 0 <= rate_term < np.inf:
-        faults.append(f"rate_term = {rate_term!r}: must be a finite number, at least 0")
+    faults += [f"{name} = {value!r}: must be a finite number, at least 0" for name, value in (("rate_term", rate_term),
+               ("length", length)) if not is_number(value) or not 0 <= value < np.inf]
     if gravity is not None and not _are_numbers(gravity, d):
         faults.append(f"gravity = {gravity!r}: must be {d} finite numbers")
     if material.method != "exact":
         faults.append(f"the material's method is {material.method!r}: must be 'exact', whose tangent this is")
     for number, condition in enumerate(conditions):
+        if isinstance(condition, NonlocalStrain) and length == 0:
+            faults.append(f"condition {number} (NonlocalStrain): the problem has no length")
         if isinstance(condition, KINDS):
             faults += [f"condition {number} ({type(condition).__name__}): {fault}" for fault in _condition_faults(condition, d)]
         else:
@@ -481,8 +555,8 @@ def _condition_faults(condition: Any, d: int) -> list[str]:
     where = condition.where
     if not callable(where) and not _are_integers(where):
         faults.append(f"where = {where!r}: must be a function of positions x (3, n), or one or more facet tags")
-    if isinstance(condition, (Displacement, Traction, Pressure)) and not callable(condition.value):
-        shapes = {Displacement: ((), (d,)), Traction: ((d,),), Pressure: ((),)}[type(condition)]
+    if isinstance(condition, (Displacement, Traction, Pressure, NonlocalStrain)) and not callable(condition.value):
+        shapes = {Displacement: ((), (d,)), Traction: ((d,),), Pressure: ((),), NonlocalStrain: ((),)}[type(condition)]
         words = " or ".join("a finite number" if shape == () else f"{d} finite numbers" for shape in shapes)
         try:
             value = real_array("value", condition.value)

@@ -181,10 +181,11 @@ def _kind_and_dimension(mesh: object) -> tuple[str | None, int | None]:
 def _settings(content: dict[str, Any], d: int | None) -> dict[str, Any]:
     table = table_of(content, "problem")
     faults: list[str] = []
-    _check_keys(table, (), ("degree", "gravity", "rate_term", "solver", "tolerances"), faults)
+    _check_keys(table, (), ("degree", "gravity", "rate_term", "length", "solver", "tolerances"), faults)
     if table.get("degree", 1) not in (1, 2):
         faults.append(f"degree = {table['degree']!r}: must be 1 or 2")
-    _check_number(table, "rate_term", "a number, at least 0", lambda value: value >= 0, faults)
+    for name in ("rate_term", "length"):
+        _check_number(table, name, "a number, at least 0", lambda value: value >= 0, faults)
     if "gravity" in table and not _are_numbers(table["gravity"], *_vector_lengths(d)):
         faults.append(f"gravity = {table['gravity']!r}: must be {d or '2 or 3'} finite numbers")
     if not isinstance(table.get("solver", {}), dict):

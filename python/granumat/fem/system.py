@@ -33,6 +33,9 @@ ITERATIVE = {"mat_type": "baij", "ksp_type": "gmres", "ksp_pc_side": "right", "k
              "ksp_max_it": 400, "pc_type": "bjacobi"}  # PETSc's default for each block is ILU(0)
 DIRECT_FIRST_UP_TO = {2: 400_000, 3: 5_000}            # unknowns, by dimension: up to here the direct solver is the first
 DIRECT_FALLBACK_UP_TO = {2: 2_000_000, 3: 100_000}     # up to here it replaces an iterative one that fails; more takes much memory
+# With a length the matrix stays well-conditioned in steady shear too, and ILU(0) needs some 30 iterations. Where cells are sheared
+# out of shape it can fail; ILU(1) then does not, at four times the memory.
+ITERATIVE_WITH_LENGTH = (ITERATIVE | {"ksp_max_it": 150}, ITERATIVE | {"ksp_max_it": 150, "sub_pc_factor_levels": 1})
 
 
 def _check(error: int) -> None:
@@ -48,12 +51,12 @@ class System:
     comm : MPI communicator
     owned : int
         Equations of this rank.
-    block_size : int
-        Displacement components of a node.
+    d : int
+        Dimension of the body, on which the default solvers depend.
     cell_labels : int array (cells, n)
         Equation of every row of the cells' matrices, negative where there is none.
-    labels : int array (nodes, d)
-        Equation of every displacement component of the nodes, negative where there is none.
+    labels : int array (nodes, unknowns)
+        Equation of every unknown of the nodes, negative where there is none: d displacement components, with a length one more.
     options : mapping
         PETSc options of the solver, without prefix, and mat_type, "aij" or "baij". They are added to the defaults; with a pc_type
         among them, they replace the defaults.
@@ -67,11 +70,12 @@ class System:
     matrix : petsc4py.PETSc.Mat
         Their sum.
     solver : petsc4py.PETSc.KSP
+        The one that is tried first.
     """
 
-    def __init__(self, comm: MPI.Comm, owned: int, block_size: int, cell_labels: np.ndarray, labels: np.ndarray,
+    def __init__(self, comm: MPI.Comm, owned: int, d: int, cell_labels: np.ndarray, labels: np.ndarray,
                  options: Mapping[str, object]) -> None:
-        self.size = comm.allreduce(owned)
+        self.size, block_size = comm.allreduce(owned), labels.shape[1]
         self._cell_labels = np.ascontiguousarray(cell_labels, PETSc.IntType)
         cells, n = self._cell_labels.shape
         self.cell_matrices = np.empty((cells, n, n))
@@ -89,14 +93,11 @@ class System:
         self._to_nodes = PETSc.Scatter().create(self._solution, wanted, self._at_nodes, None)
         self._free = labels >= 0
 
-        self._fallback = None
+        fallbacks: list[Mapping[str, object]] = []
         if "pc_type" not in options:
-            if self.size > DIRECT_FIRST_UP_TO[block_size]:
-                options = ITERATIVE | dict(options)
-                if self.size <= DIRECT_FALLBACK_UP_TO[block_size]:
-                    self._fallback = make_solver(comm, DIRECT)
-            else:
-                options = DIRECT | dict(options)
+            first, *fallbacks = default_solvers(d, self.size, block_size > d)
+            options = {**first, **options}
+        self._fallbacks = [make_solver(comm, fallback) for fallback in fallbacks]
         self.matrix = PETSc.Mat().create(comm=comm)
         self.matrix.setSizes(((owned, self.size), (owned, self.size)))
         self.matrix.setBlockSize(block_size)
@@ -155,9 +156,8 @@ class System:
 
         Returns
         -------
-        array (nodes, d) or None
-            q of every displacement component along its node's axes, 0 where the displacement is prescribed. None if no solver
-            solves the equations.
+        array (nodes, unknowns) or None
+            q of every unknown along its node's axes, 0 where it is prescribed. None if no solver solves the equations.
         """
         self.assemble()
         if not self.solve_assembled(self._sum(forces)):
@@ -179,10 +179,10 @@ class System:
         self.matrix.assemble()
 
     def solve_assembled(self, right: PETSc.Vec) -> bool:
-        """Whether the solver, or the one that it falls back on, solves the assembled equations."""
+        """Whether the solver, or one that it falls back on, solves the assembled equations."""
         solved = self._solve(self.solver, right)
         self._warn_of_unused_options()
-        return solved or (self._fallback is not None and self._solve(self._fallback, right))
+        return solved or any(self._solve(fallback, right) for fallback in self._fallbacks)
 
     def _solve(self, solver: PETSc.KSP, right: PETSc.Vec) -> bool:
         solver.setOperators(self.matrix)
@@ -201,6 +201,14 @@ class System:
             if not used.value:
                 warnings.warn(f"PETSc has not used the solver's option {name!r}", stacklevel=2)
         self._unchecked_options = set()
+
+
+def default_solvers(d: int, size: int, has_length: bool) -> list[Mapping[str, object]]:
+    """PETSc options of the solvers that are tried one after the other, for so many unknowns in d dimensions."""
+    if size <= DIRECT_FIRST_UP_TO[d]:
+        return [DIRECT]
+    iterative = ITERATIVE_WITH_LENGTH if has_length else (ITERATIVE,)
+    return [*iterative, *([DIRECT] if size <= DIRECT_FALLBACK_UP_TO[d] else [])]
 
 
 def make_solver(comm: MPI.Comm, options: Mapping[str, object]) -> PETSc.KSP:

@@ -21,6 +21,8 @@ class Trial:
         Of the increment, in pseudo-time.
     u : array (nodes, d)
         Displacements in the increment.
+    m : array (nodes)
+        Nonlocal strain of the increment, empty without a length.
     states : record array (points) of dtype STATE
         This and the arrays below are empty if the displacements could not be evaluated.
     gradients : array (points, 3, 3)
@@ -30,8 +32,11 @@ class Trial:
         The material's and that of the rate term.
     forces : array (cells, nodes per cell, d)
         What the cells' nodes need from outside: internal forces less loads.
+    nonlocal_residuals : array (cells, nodes per cell)
+        Of the equations of m.
     residual : float
-        Norm of the residual forces, relative to that of the internal forces.
+        Norm of the residual forces, relative to that of the internal forces; with a length the root of the sum of its square and
+        that of the equations of m, relative to the integrals of abs(D).
     residuals : tuple of float
         Those of the Newton iterations that have led here, the first guess's first.
     failure : str
@@ -41,14 +46,21 @@ class Trial:
     t: float
     duration: float
     u: np.ndarray
+    m: np.ndarray = field(default_factory=_no_values)
     states: np.ndarray = field(default_factory=_no_values)
     gradients: np.ndarray = field(default_factory=_no_values)
     volumes: np.ndarray = field(default_factory=_no_values)
     stress: np.ndarray = field(default_factory=_no_values)
     forces: np.ndarray = field(default_factory=_no_values)
+    nonlocal_residuals: np.ndarray = field(default_factory=_no_values)
     residual: float = np.inf
     residuals: tuple[float, ...] = ()
     failure: str = ""
+
+    @property
+    def unknowns(self) -> np.ndarray:
+        """u (nodes, d), with a length u and m (nodes, d + 1)."""
+        return np.column_stack([self.u, self.m]) if len(self.m) else self.u
 
 
 @dataclass(frozen=True, eq=False)
