@@ -24,10 +24,11 @@ RANK = MPI.COMM_WORLD.rank
 SHORT = {"cells": 2, "increments": 8}
 
 
-def box(cells, cell, degree, increments, loaded):
+def box(cells, cell, degree, increments, loaded, **more):
     """A box of height 1 along its last axis, with periodic sides, and where its platen is.
 
     Pseudo-time counts increments: the platen goes forward, pauses for one and goes back; without a load it keeps its height.
+    `more` are arguments of Problem.
     """
     size = np.array([1.5, 1.0] if cell in ("quadrilateral", "triangle") else [1.5, 0.8, 1.0])
     axes, up = np.eye(len(size)), len(size) - 1
@@ -48,7 +49,7 @@ def box(cells, cell, degree, increments, loaded):
     else:
         conditions += [fem.Displacement(platen, drag)]
     mesh = fem.meshes.box(MPI.COMM_WORLD, size, [cells] * len(size), cell)
-    return fem.Problem(mesh, SAND, START, conditions, degree=degree), platen
+    return fem.Problem(mesh, SAND, START, conditions, degree=degree, **more), platen
 
 
 # %%

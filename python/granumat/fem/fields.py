@@ -22,12 +22,14 @@ FIELDS = {
     "A_direction": "direction of most contacts",
     "shear_strain": "accumulated shear strain", "volume_strain": "volume strain (extension positive)",
     "dilatancy": "dilatancy tr $D/|S|$", "eta_t": "transverse modulus $\\eta_t$",
+    "nonlocal_strain": "nonlocal strain $m$", "R": "local over nonlocal strain $R = |D|/m$",
     "stress": "stress $\\sigma\\,d/k$", "strain": "logarithmic strain $e$", "fabric": "fabric $A$",
 }
 TENSORS = {"stress": "sigma", "strain": "e", "fabric": "A"}         # names of the components' columns in histories begin so
 COMPONENTS = {f"{symbol}_{axis}": (name, i) for name, symbol in TENSORS.items() for i, axis in enumerate(tensors.AXES)}
 SCALAR_FIELDS = [*(name for name in FIELDS if name not in ("A_direction", *TENSORS)), *COMPONENTS]
-RECORDED = tuple(name for name in FIELDS if name not in ("q", *TENSORS))                      # if nothing else is asked for
+OF_LENGTH = ("nonlocal_strain", "R")
+RECORDED = tuple(name for name in FIELDS if name not in ("q", *TENSORS, *OF_LENGTH))          # if nothing else is asked for
 XDMF_ORDER = [0, 3, 4, 1, 5, 2]     # xx xy xz yy yz zz
 ROUND_OFF = 1e-9                    # a component of a unit vector below, or a shear over a volume strain, counts as 0
 
@@ -65,6 +67,7 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
         extension positive. strain is the logarithmic strain since the start, ln(F F^T)/2, along x y z. q is sqrt(3 J2). A is abs(A)
         of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of which the first component that is not
         0 is positive; it is 0 where there is no fabric. dilatancy is that of the last increment, 0 where it had no shear.
+        nonlocal_strain is m of the last increment, abs(D) without a length, and R the mean abs(D) over it, 1 where it is 0.
 
     Raises
     ------
@@ -86,6 +89,9 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
         strain = mean(tensors.symmetric(problem.last.gradients))
     volume_strain, shear = tensors.trace(strain), tensors.magnitude(tensors.deviator(strain))
     dilatancy = np.divide(volume_strain, shear, out=np.zeros_like(shear), where=shear > ROUND_OFF * abs(volume_strain))
+    local, m = _strains_of_last(problem)
+    local, m = mean(local), mean(m)
+    R = np.divide(local, m, out=np.ones_like(m), where=m > 0)
     direction = np.linalg.eigh(tensors.to_matrix(fabric))[1][..., -1]
     first = np.take_along_axis(direction, (abs(direction) > ROUND_OFF).argmax(axis=1)[:, None], axis=1)
     direction = np.where(tensors.magnitude(fabric)[:, None] > 0, direction * np.sign(first), 0.0)
@@ -93,12 +99,20 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
               "stress_ratio": stress_ratio(stress), "Z2": mean(states["coordination_number"]),
               "phi": mean(states["volume_fraction"]), "A": tensors.magnitude(fabric), "A_direction": direction,
               "shear_strain": mean(problem.shear_strain), "volume_strain": mean(problem.volume_strain), "dilatancy": dilatancy,
-              "eta_t": mean(problem.material.transverse_modulus(states)), "stress": -stress, "fabric": fabric}
+              "nonlocal_strain": m, "R": R, "eta_t": mean(problem.material.transverse_modulus(states)), "stress": -stress, "fabric": fabric}
     wanted = [column_name(name) for name in names]
     if any(name == "strain" or COMPONENTS.get(name, ("",))[0] == "strain" for name in wanted):
         fields["strain"] = mean(point_strains(problem))
     return {given: fields[COMPONENTS[name][0]][:, COMPONENTS[name][1]] if name in COMPONENTS else fields[name]
             for given, name in zip(names, wanted)}
+
+
+def _strains_of_last(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """abs(D) and m (points) of the last increment; without a length both are abs(D)."""
+    if problem.last is None:
+        return np.zeros(len(problem.states)), np.zeros(len(problem.states))
+    strain = tensors.magnitude(tensors.symmetric(problem.last.gradients))
+    return strain, strain if problem.nonlocal_field is None else problem.nonlocal_field.at_points(problem.last.m)
 
 
 def point_strains(problem: Problem) -> np.ndarray:
