@@ -134,3 +134,157 @@ def test_below_yield_m_decays_over_the_length_over_the_root_of_1_minus_R():
         strain = np.concatenate(problem.comm.allgather(fem.cell_fields(problem, ["R"])["R"]))
         assert strain == pytest.approx(R, rel=1e-5)
     assert abs(errors[0]) < 0.005 and errors[0] / errors[1] > 3.5
+
+
+def turned(rings=4, sectors=12, turn=0.03, back=0.015, increment=0.005, length=0.2, **more):
+    """The annular shear cell, turned and turned back: torque, pressure and phi after every increment, and the problem."""
+    problem, inner = annular_cell.ring(more.pop("material", SAND), rings, sectors, turn, length=length, **more)
+    watch = annular_cell.Watch(problem, inner, rings, more.get("part", 1.0))
+    fem.run(problem, turn + back, increment, events=[turn], observers=[watch])
+    return watch, problem
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return turned()[0].columns()
+
+
+def test_newton_converges_quadratically_and_needs_no_increment_cut(whole):
+    watch, _ = turned()
+    assert len(watch.residuals) == 9
+    for history in watch.residuals[1:]:
+        first, second, third = history[:3]
+        assert second < 200 * first**1.5 and third < max(200 * second**2, 1e-12)
+
+
+def test_periodic_sides_that_turn_tie_m_without_turning_it(whole):
+    part = turned(sectors=1, part=1 / 12)[0].columns()
+    for name in ("torque", "pressure", "phi"):
+        assert part[name] == pytest.approx(whole[name], rel=1e-9), name
+
+
+@pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("quadrilateral", 2), ("hexahedron", 1), ("tetrahedron", 2)])
+def test_cells_of_each_kind_agree_in_the_ring(cell, degree, whole):
+    found = turned(cell=cell, degree=degree)[0].columns()
+    assert found["torque"] == pytest.approx(whole["torque"], abs=0.06 * whole["torque"].max())
+
+
+def test_ranks_agree(mpirun, whole):
+    script = f"""
+import sys
+sys.path[:0] = [{str(DEMOS)!r}, {str(Path(__file__).parent)!r}]
+from mpi4py import MPI
+import test_length
+columns = test_length.turned()[0].columns()
+if MPI.COMM_WORLD.rank == 0:
+    for name in ("torque", "pressure", "phi"):
+        print(*(repr(float(value)) for value in columns[name]))
+"""
+    for ranks in (2, 3):
+        found = [np.array(line.split(), float) for line in mpirun(script, ranks).splitlines()]
+        for name, values in zip(("torque", "pressure", "phi"), found, strict=True):
+            assert values == pytest.approx(whole[name], rel=1e-9, abs=1e-12)
+
+
+def test_ranks_agree_on_every_kind_of_cell_and_with_the_iterative_solver(mpirun):
+    script = f"""
+import sys
+sys.path[:0] = [{str(DEMOS)!r}, {str(Path(__file__).parent)!r}]
+import numpy as np
+from mpi4py import MPI
+from granumat.fem import system
+import test_length
+system.DIRECT_FIRST_UP_TO = {{2: 0, 3: 0}}
+for cell, degree in (("triangle", 2), ("hexahedron", 1), ("tetrahedron", 1)):
+    watch, problem = test_length.turned(3, 9, 0.015, 0.01, length=0.3, cell=cell, degree=degree)
+    m = problem.nonlocal_field.at_points(problem.last.m)
+    sums = problem.comm.allreduce(np.array([m.sum(), (m**2).sum()]))
+    if problem.comm.rank == 0:
+        print(*watch.columns()["torque"], *sums)
+"""
+    one, two = (np.array(mpirun(script, ranks).split(), float) for ranks in (1, 2))
+    assert two == pytest.approx(one, rel=1e-7)
+
+
+def test_a_resumed_run_is_the_one_that_went_on(tmp_path):
+    def problem():
+        return annular_cell.ring(SAND, 4, 1, 0.03, part=1 / 12, length=0.2)[0]
+
+    whole, cut, again = problem(), problem(), problem()
+    fem.run(whole, 0.045, 0.005, events=[0.03])
+    checkpoint = fem.Checkpoint(tmp_path / "checkpoint.npz", every=1)
+    fem.run(cut, 0.03, 0.005, observers=[checkpoint])
+    fem.resume(checkpoint.path, again)
+    assert (again.last.m == cut.last.m).all()
+    fem.run(again, 0.045, 0.005, events=[0.03])
+    for name in ("stress", "fabric", "coordination_number", "volume_fraction"):
+        assert abs(again.states[name] - whole.states[name]).max() < 1e-10 * abs(whole.states[name]).max(), name
+    assert again.last.residuals == whole.last.residuals
+    with pytest.raises(ValueError, match=r"length: 0\.2 in the checkpoint, 0\.1 here"):
+        fem.resume(checkpoint.path, annular_cell.ring(SAND, 4, 1, 0.03, part=1 / 12, length=0.1)[0])
+
+
+@pytest.mark.slow
+def test_torque_and_width_of_the_ring_settle_at_those_of_the_radial_solution():
+    watch, problem = turned(16, 1, 0.12, 0.08, 0.002, length=0.05, part=1 / 48)
+    columns = watch.columns()
+    at = np.argmin(abs(columns["path"] - 0.12))
+    assert columns["torque"][at] == pytest.approx(0.027843, rel=0.01)        # of 256 rings of cells in one dimension
+    assert len(columns["path"]) == 100 and columns["iterations"].mean() < 3.3
+
+
+def sheared_box(cells, noise, until, **more):
+    """Largest scatter of abs(D) along x, over that of phi, in a box periodic along x, sheared under a constant load."""
+    material = SAND
+    start, rng = material.isotropic(0.6, pressure=0.01), np.random.default_rng(0)
+
+    def state(x):
+        states = np.full(len(x), start)
+        states["volume_fraction"] *= 1 + noise * np.repeat(rng.uniform(-1, 1, cells**2), len(x) // cells**2)
+        return states
+
+    def top(x):
+        return np.isclose(x[1], 1)
+
+    problem = fem.Problem(
+        fem.meshes.box(MPI.COMM_WORLD, (1, 1), (cells, cells)), material, state,
+        [fem.Displacement(lambda x: np.isclose(x[1], 0)), fem.Displacement(top, lambda x, t: [t, 0], components=[0]),
+         fem.Tied(top, 1), fem.Pressure(top, 0.01), fem.Periodic(lambda x: np.isclose(x[0], 1), lambda x: x - np.array([1.0, 0]))],
+        **more)
+    fem.run(problem, until, 0.02)
+    strain = fem.cell_fields(problem, ["nonlocal_strain", "R"])
+    y = np.round(problem.body.at_cells(problem.positions)[:, :, 1].mean(axis=1), 6)
+    local = strain["nonlocal_strain"] * strain["R"]
+    return max(local[y == row].std() / local[y == row].mean() for row in np.unique(y)) / noise
+
+
+def test_errors_of_the_packing_grow_without_a_length_and_not_with_one():
+    assert sheared_box(16, 1e-6, 0.6, length=0.05) < 1
+    assert sheared_box(16, 1e-6, 0.6) > 10
+
+
+def test_a_pause_takes_no_iteration_and_has_no_nonlocal_strain():
+    problem, _ = homogeneous_shear.box(2, "quadrilateral", 1, 8, True, length=0.3)
+    fem.run(problem, 8, 1.0)
+    pause = problem.solve_increment(1.0)
+    assert not pause.failure and len(pause.residuals) == 1 and not pause.m.any()
+    assert (pause.states.stress == problem.states.stress).all()
+
+
+def test_wrong_lengths_and_conditions_are_refused_in_words():
+    mesh, start = fem.meshes.box(MPI.COMM_WORLD, (1, 1), (2, 2)), SAND.isotropic(0.6, pressure=0.01)
+    for length in (-0.1, np.nan, np.inf, "long"):
+        with pytest.raises(ValueError, match="length = .*: must be a finite number, at least 0"):
+            fem.Problem(mesh, SAND, start, length=length)
+    given = fem.NonlocalStrain(lambda x: np.isclose(x[0], 0), 0.1)
+    with pytest.raises(ValueError, match=r"condition 0 \(NonlocalStrain\): the problem has no length"):
+        fem.Problem(mesh, SAND, start, [given])
+    falling = fem.NonlocalStrain(given.where, lambda t: -t)
+    with pytest.raises(ValueError, match="a NonlocalStrain's value at t = 1 is -1.0: must be a finite number, at least 0"):
+        fem.Problem(mesh, SAND, start, [falling], length=0.1).solve_increment(1.0)
+
+
+def test_a_closure_whose_transverse_modulus_vanishes_is_warned_of():
+    sand = Material(0.1, closure="basic", elastic_strain=0.01)
+    with pytest.warns(UserWarning, match="take the closure 'kinematic'"):
+        fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1, 1), (2, 2)), sand, sand.isotropic(0.6, pressure=0.01), length=0.1)

@@ -149,7 +149,8 @@ class Fields(Output):
     times : sequence of float, optional
         Pseudo-times at which there are records too; make them `events` of the run.
     fields : sequence of str, optional
-        As in cell_fields; RECORDED if not given. Tensors have XDMF's order of components, xx xy xz yy yz zz.
+        As in cell_fields; RECORDED if not given, and OF_LENGTH where the problem has a length. Tensors have XDMF's order of
+        components, xx xy xz yy yz zz.
 
     Raises
     ------
@@ -162,12 +163,12 @@ class Fields(Output):
     LARGEST_FILE = 2**32            # bytes of a file of numbers: two of ParaView's three XDMF readers count them in 32 bits
 
     def __init__(self, path: str | Path, every: int | None = None, times: Sequence[float] = (),
-                 fields: Sequence[str] = RECORDED) -> None:
+                 fields: Sequence[str] | None = None) -> None:
         super().__init__(path, every, times)
         faults: list[str] = []
-        check_fields(fields, (*FIELDS, *COMPONENTS), faults)
+        check_fields(fields or (), (*FIELDS, *COMPONENTS), faults)
         refuse("the fields cannot be written", faults)
-        self.fields = tuple(fields)
+        self.fields = None if fields is None else tuple(fields)
         self._mesh: VertexMesh | None = None
         self._number_files = 1
 
@@ -188,7 +189,10 @@ class Fields(Output):
             self._mesh = VertexMesh(problem.body)
         mesh = self._mesh
         displacement = mesh.gather(problem.displacement)
-        fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem, self.fields).items()}
+        names = self.fields
+        if names is None:
+            names = RECORDED if problem.nonlocal_field is None else RECORDED + OF_LENGTH
+        fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem, names).items()}
         on_rank_0(problem.comm, lambda: self._append(problem.t, mesh, displacement, fields))
 
     def _append(self, t: float, mesh: VertexMesh, displacement: np.ndarray, fields: dict[str, np.ndarray]) -> None:

@@ -118,8 +118,8 @@ class OutputRequest:
         Increments from one record of fields and pictures to the next.
     times : tuple of float
         Pseudo-times of further records.
-    fields : list of str
-        Fields of the cells in fields.xdmf.
+    fields : list of str or None
+        Fields of the cells in fields.xdmf; those of Fields if None.
     pictures : list of str
         Fields to be drawn.
     probes : dict of str to list of float
@@ -132,7 +132,7 @@ class OutputRequest:
 
     every: int | None
     times: tuple[float, ...]
-    fields: list[str]
+    fields: list[str] | None
     pictures: list[str]
     probes: dict[str, list[float]]
     center: list[float] | None

@@ -13,7 +13,7 @@ from ..paths import INITIAL, initial_table, read_initial, read_material
 from ..quantities import Quantity, read_quantities
 from ..toml import read_toml, table_of, tables_of
 from . import meshes
-from .fields import COMPONENTS, FIELDS, RECORDED, SCALAR_FIELDS, check_fields
+from .fields import COMPONENTS, FIELDS, SCALAR_FIELDS, check_fields
 from .problem import Tolerances
 from .quantities import read_source
 from .reduction import reduction_faults
@@ -277,7 +277,7 @@ def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
         _check_number(checkpoint, "seconds", "a number, at least 0", lambda value: value >= 0, faults)
     refuse("is wrong", faults)
     return OutputRequest(table.get("every", None if times else 10), tuple(map(float, times)),
-                         table.get("fields", list(RECORDED)), table.get("pictures", []), probes, table.get("center"), checkpoint)
+                         table.get("fields"), table.get("pictures", []), probes, table.get("center"), checkpoint)
 
 
 def _regions(content: dict[str, Any], d: int | None) -> list[Region]:
