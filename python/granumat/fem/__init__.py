@@ -21,6 +21,6 @@ from .quantities import Quantities
 from .symmetry import Symmetry
 from .tables import Probe, Reactions
 
-__all__ = ["Checkpoint", "Displacement", "Fields", "NonlocalStrain", "Periodic", "Pictures", "Pressure", "Probe", "Problem", "Quantities",
-           "Reactions", "SolveError", "Symmetry", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure", "meshes",
-           "polar", "resume", "rotation", "run"]
+__all__ = ["Checkpoint", "Displacement", "Fields", "NonlocalStrain", "Periodic", "Pictures", "Pressure", "Probe", "Problem",
+           "Quantities", "Reactions", "SolveError", "Symmetry", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure",
+           "meshes", "polar", "resume", "rotation", "run"]

@@ -154,7 +154,13 @@ class Body:
         core.element_stiffness(self._mean_dilatation, self.element.gradients, x, volumes, gradients, stress, tangent, stiffness)
 
     def helmholtz(self, x: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices of m - length^2 div grad m, m of degree 1, and volumes, where the cells' nodes are at x (cells, nodes per cell, d).
+        """Matrices of m - length^2 div grad m, for m of degree 1, and volumes.
+
+        Parameters
+        ----------
+        x : array (cells, nodes per cell, d)
+            Where the cells' nodes are.
+        length : float
 
         Returns
         -------
@@ -162,7 +168,8 @@ class Body:
         volumes : array (cells, points per cell)
         """
         element = self.element
-        return core.element_helmholtz(element.gradients, element.vertex_values, element.vertex_gradients, element.weights, x, length)
+        return core.element_helmholtz(element.gradients, element.vertex_values, element.vertex_gradients, element.weights, x,
+                                      length)
 
     def coupling(self, x: np.ndarray, volumes: np.ndarray, old_volumes: np.ndarray, gradients: np.ndarray, by_nonlocal: np.ndarray,
                  matrices: np.ndarray, scale: float, stiffness: np.ndarray) -> None:

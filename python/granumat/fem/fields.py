@@ -99,7 +99,8 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
               "stress_ratio": stress_ratio(stress), "Z2": mean(states["coordination_number"]),
               "phi": mean(states["volume_fraction"]), "A": tensors.magnitude(fabric), "A_direction": direction,
               "shear_strain": mean(problem.shear_strain), "volume_strain": mean(problem.volume_strain), "dilatancy": dilatancy,
-              "nonlocal_strain": m, "R": R, "eta_t": mean(problem.material.transverse_modulus(states)), "stress": -stress, "fabric": fabric}
+              "nonlocal_strain": m, "R": R, "eta_t": mean(problem.material.transverse_modulus(states)),
+              "stress": -stress, "fabric": fabric}
     wanted = [column_name(name) for name in names]
     if any(name == "strain" or COMPONENTS.get(name, ("",))[0] == "strain" for name in wanted):
         fields["strain"] = mean(point_strains(problem))

@@ -20,8 +20,8 @@ SMOOTHING_SOLVER = {"ksp_type": "cg", "pc_type": "jacobi", "ksp_rtol": 1e-10}
 class NonlocalField:
     """The nonlocal strain m of an increment: m - length^2 div grad m = abs(D), with n . grad m = 0 where no condition gives m.
 
-    m is of degree 1 between the cells' vertices, which come first among the nodes; other nodes have m = 0. Gradients and volumes are
-    those at the start of the increment, so that the equation is linear in m. Arrays are as in Body.
+    m is of degree 1 between the cells' vertices, which come first among the nodes; other nodes have m = 0. Gradients and volumes
+    are those at the start of the increment, so that the equation is linear in m. Arrays are as in Body.
 
     Parameters
     ----------
@@ -90,8 +90,11 @@ class NonlocalField:
                       by_nonlocal.reshape(*volumes.shape, -1), matrices, scale, stiffness)
 
     def scale(self, m: np.ndarray, stress: np.ndarray) -> float:
-        """Factor that makes equations of m (nodes) as large as those of forces: mean pressure over the geometric mean of m; collective.
+        """Factor of the equations of m that makes them as large as those of forces: mean pressure over geometric mean of m; collective.
 
+        Parameters
+        ----------
+        m : array (nodes)
         stress : array (points, 6)
         """
         of_points = self.at_points(m)
@@ -136,6 +139,6 @@ def warn_of_closure(material: Material) -> None:
     least = min(material["b1"] + (material["b2"] + material["a4"] / 2) * x + material["b3"] * x**2
                 for x in (-2 * material["kappa"], 2 * material["kappa"]))
     if least <= 0:
-        warnings.warn(f"length: with the closure {material.closure!r} at mu = {material['mu']:g} the transverse modulus eta_t falls to "
-                      f"{least:.3g} after a reversal, where a length lets short waves grow faster: take the closure 'kinematic'",
+        warnings.warn(f"length: with the closure {material.closure!r} at mu = {material['mu']:g} the transverse modulus eta_t falls "
+                      f"to {least:.3g} after a reversal, where a length lets short waves grow faster: take the closure 'kinematic'",
                       stacklevel=3)

@@ -40,7 +40,8 @@ class Numbering:
     Attributes
     ----------
     labels : int array (nodes, unknowns)
-        Number of the equation among those of all ranks, or PRESCRIBED, for a node's components along its axes; d unknowns, or d + 1.
+        Number of the equation among those of all ranks, or PRESCRIBED, for a node's components along its axes; there are d unknowns
+        a node, or with a length d + 1.
     cell_labels : int array (cells, n)
         The same for the rows of the cells' matrices, n = nodes per cell times unknowns.
     axes : array (nodes, unknowns, unknowns)

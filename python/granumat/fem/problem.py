@@ -77,8 +77,9 @@ class Problem:
         alpha: the stress alpha p S, S the rate of deviatoric strain per unit of pseudo-time, is added to the material's. It
         regularises what the law leaves ill-posed, at an error of alpha p times the shear rate.
     length : float, optional
-        l, in the units of the mesh: the nonlocal strain m, with m - l^2 div grad m = abs(D), is solved for beside the displacements,
-        and is the clock of the material's relaxation. Then bodies do not localise in one row of cells. 0: no length.
+        l, in the units of the mesh: the nonlocal strain m, with m - l^2 div grad m = abs(D), is solved for beside the
+        displacements, and takes the place of abs(D) in the material's update. Bodies then shear in zones some l wide, whatever the
+        cells. 0: no length.
     facet_tags : dolfinx.mesh.MeshTags, optional
         What numbers in the conditions' `where` mean.
     tolerances : Tolerances, optional
@@ -328,7 +329,7 @@ class Problem:
         return correction
 
     def _rows(self, forces: np.ndarray, of_m: np.ndarray | float = 0.0) -> np.ndarray:
-        """Cells' forces (cells, nodes per cell, d), and what belongs to m (cells, nodes per cell), as rows of the cells' matrices."""
+        """Cells' forces (cells, nodes per cell, d), and what belongs to m (cells, nodes per cell), as rows of their matrices."""
         if self.nonlocal_field is not None:
             forces = np.concatenate([forces, np.broadcast_to(of_m, forces.shape[:2])[..., None]], axis=2)
         return self.numbering.forces_to_axes(forces)

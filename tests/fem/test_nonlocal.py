@@ -174,8 +174,8 @@ def test_ranks_agree(mpirun, whole):
 import sys
 sys.path[:0] = [{str(DEMOS)!r}, {str(Path(__file__).parent)!r}]
 from mpi4py import MPI
-import test_length
-columns = test_length.turned()[0].columns()
+import test_nonlocal
+columns = test_nonlocal.turned()[0].columns()
 if MPI.COMM_WORLD.rank == 0:
     for name in ("torque", "pressure", "phi"):
         print(*(repr(float(value)) for value in columns[name]))
@@ -193,10 +193,10 @@ sys.path[:0] = [{str(DEMOS)!r}, {str(Path(__file__).parent)!r}]
 import numpy as np
 from mpi4py import MPI
 from granumat.fem import system
-import test_length
+import test_nonlocal
 system.DIRECT_FIRST_UP_TO = {{2: 0, 3: 0}}
 for cell, degree in (("triangle", 2), ("hexahedron", 1), ("tetrahedron", 1)):
-    watch, problem = test_length.turned(3, 9, 0.015, 0.01, length=0.3, cell=cell, degree=degree)
+    watch, problem = test_nonlocal.turned(3, 9, 0.015, 0.01, length=0.3, cell=cell, degree=degree)
     m = problem.nonlocal_field.at_points(problem.last.m)
     sums = problem.comm.allreduce(np.array([m.sum(), (m**2).sum()]))
     if problem.comm.rank == 0:
