@@ -8,6 +8,9 @@ import pytest
 from mpi4py import MPI
 
 from granumat import Material, fem
+from granumat.fem import scene
+from support import scenes
+from support.xdmf import records
 
 DEMOS = Path(__file__).parents[2] / "demos"
 sys.path.insert(0, str(DEMOS))
@@ -226,7 +229,7 @@ def test_a_resumed_run_is_the_one_that_went_on(tmp_path):
 
 @pytest.mark.slow
 def test_torque_and_width_of_the_ring_settle_at_those_of_the_radial_solution():
-    watch, problem = turned(16, 1, 0.12, 0.08, 0.002, length=0.05, part=1 / 48)
+    watch, _ = turned(16, 1, 0.12, 0.08, 0.002, length=0.05, part=1 / 48)
     columns = watch.columns()
     at = np.argmin(abs(columns["path"] - 0.12))
     assert columns["torque"][at] == pytest.approx(0.027843, rel=0.01)        # of 256 rings of cells in one dimension
@@ -274,13 +277,13 @@ def test_a_pause_takes_no_iteration_and_has_no_nonlocal_strain():
 def test_wrong_lengths_and_conditions_are_refused_in_words():
     mesh, start = fem.meshes.box(MPI.COMM_WORLD, (1, 1), (2, 2)), SAND.isotropic(0.6, pressure=0.01)
     for length in (-0.1, np.nan, np.inf, "long"):
-        with pytest.raises(ValueError, match="length = .*: must be a finite number, at least 0"):
+        with pytest.raises(ValueError, match=r"length = .*: must be a finite number, at least 0"):
             fem.Problem(mesh, SAND, start, length=length)
     given = fem.NonlocalStrain(lambda x: np.isclose(x[0], 0), 0.1)
     with pytest.raises(ValueError, match=r"condition 0 \(NonlocalStrain\): the problem has no length"):
         fem.Problem(mesh, SAND, start, [given])
     falling = fem.NonlocalStrain(given.where, lambda t: -t)
-    with pytest.raises(ValueError, match="a NonlocalStrain's value at t = 1 is -1.0: must be a finite number, at least 0"):
+    with pytest.raises(ValueError, match=r"a NonlocalStrain's value at t = 1 is -1.0: must be a finite number, at least 0"):
         fem.Problem(mesh, SAND, start, [falling], length=0.1).solve_increment(1.0)
 
 
@@ -288,3 +291,28 @@ def test_a_closure_whose_transverse_modulus_vanishes_is_warned_of():
     sand = Material(0.1, closure="basic", elastic_strain=0.01)
     with pytest.warns(UserWarning, match="take the closure 'kinematic'"):
         fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1, 1), (2, 2)), sand, sand.isotropic(0.6, pressure=0.01), length=0.1)
+
+
+def test_a_scene_has_its_length_in_the_problem_and_records_the_nonlocal_strain(tmp_path):
+    path = tmp_path / "ring.toml"
+    path.write_text(scenes.RING.replace("[run]", "[problem]\nlength = 0.1\n[run]"))
+    problem, _ = scene.solve(path, tmp_path / "out")
+    assert problem.length == 0.1
+    _, _, arrays = list(records(tmp_path / "out/fields.xdmf"))[-1]
+    m, R = (fem.cell_fields(problem, [name])[name] for name in ("nonlocal_strain", "R"))
+    np.testing.assert_allclose(arrays["nonlocal_strain"], m)
+    np.testing.assert_allclose(arrays["R"], R)
+    assert np.ptp(R) > 1e-3 and m.min() > 0
+
+
+def test_with_degree_2_and_gravity_a_layer_and_a_sector_are_the_whole(tmp_path):
+    for text, key, more in ((scenes.BOX, "layer", "degree = 2\ngravity = [0, -1e-3]\n"), (scenes.RING, "sector", "")):
+        found = []
+        for part in ("false", "true"):
+            path = tmp_path / f"{key}-{part}.toml"
+            path.write_text(text.replace("[initial]", f"{key} = {part}\n[initial]")
+                            .replace("[run]", f"[problem]\nlength = 0.2\n{more}[run]"))
+            scene.solve(path, tmp_path / f"{key}-{part}")
+            found.append(scenes.read_table(tmp_path / f"{key}-{part}/reactions.csv"))
+        for column in found[0].dtype.names:
+            np.testing.assert_allclose(found[1][column], found[0][column], rtol=1e-8, atol=1e-10, err_msg=column)

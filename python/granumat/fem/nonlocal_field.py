@@ -12,6 +12,7 @@ from .system import System
 
 STRAIN_FLOOR = 1e-10                # residuals are relative to at least this strain everywhere
 PRESSURE_FLOOR = 1e-6               # in k/d, of the scale of the equations of m
+ANY_VOLUME_FRACTION = 0.6           # eta_t does not depend on it
 STRAIN_AT_REST = 1e-4               # takes the place of m in that scale where m = 0 everywhere
 # For the first guess. The matrix is that of mass and diffusion: its condition grows as (length over the cells' size)^2.
 SMOOTHING_SOLVER = {"ksp_type": "cg", "pc_type": "jacobi", "ksp_rtol": 1e-10}
@@ -90,7 +91,7 @@ class NonlocalField:
                       by_nonlocal.reshape(*volumes.shape, -1), matrices, scale, stiffness)
 
     def scale(self, m: np.ndarray, stress: np.ndarray) -> float:
-        """Factor of the equations of m that makes them as large as those of forces: mean pressure over geometric mean of m; collective.
+        """Factor of the equations of m that makes them as large as those of forces: mean p over geometric mean of m; collective.
 
         Parameters
         ----------
@@ -135,10 +136,11 @@ class NonlocalField:
 
 
 def warn_of_closure(material: Material) -> None:
-    """Warns of a material whose transverse modulus is not positive at every reversal: there a length makes it worse."""
-    least = min(material["b1"] + (material["b2"] + material["a4"] / 2) * x + material["b3"] * x**2
-                for x in (-2 * material["kappa"], 2 * material["kappa"]))
-    if least <= 0:
-        warnings.warn(f"length: with the closure {material.closure!r} at mu = {material['mu']:g} the transverse modulus eta_t falls "
-                      f"to {least:.3g} after a reversal, where a length lets short waves grow faster: take the closure 'kinematic'",
-                      stacklevel=3)
+    """Warns of a material whose transverse modulus is not positive where steady shear reverses: there a length makes it worse."""
+    reversed_shear = np.array(material.steady(ANY_VOLUME_FRACTION)).reshape(1)
+    reversed_shear["direction"] *= -1
+    eta_t = float(material.transverse_modulus(reversed_shear)[0])
+    if eta_t <= 0:
+        warnings.warn(f"length: with the closure {material.closure!r} at mu = {material['mu']:g} eta_t falls "
+                      f"to {eta_t:.3g} where shear reverses, and a length lets short waves grow faster there: take the closure "
+                      "'kinematic'", stacklevel=3)
