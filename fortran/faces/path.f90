@@ -2,7 +2,7 @@
 !!
 !! An increment without free amplitudes is taken at once. With them, the gradient is constant over substeps of the increment, which
 !! are cut until one substep and its two halves agree; the free amplitudes are then piecewise linear in time, which is second order
-!! (docs/theory.md, section 9.5).
+!! (docs/theory.md, section 9.6).
 module granumat_path
   use granumat_kinds, only: dp, LANES
   use granumat_batch, only: update_batch, update_batch_by_method

@@ -35,7 +35,7 @@ DIRECT_FIRST_UP_TO = {2: 400_000, 3: 5_000}            # unknowns, by dimension:
 DIRECT_FALLBACK_UP_TO = {2: 2_000_000, 3: 100_000}     # up to here it replaces an iterative one that fails; more takes much memory
 # With a length the matrix stays well-conditioned in steady shear too, and ILU(0) needs some 30 iterations. Where cells are sheared
 # out of shape it can fail; ILU(1) then does not, at four times the memory.
-ITERATIVE_WITH_LENGTH = (ITERATIVE | {"ksp_max_it": 150}, ITERATIVE | {"ksp_max_it": 150, "sub_pc_factor_levels": 1})
+ITERATIVE_WITH_LENGTH = (ITERATIVE | {"ksp_max_it": 100}, ITERATIVE | {"sub_pc_factor_levels": 1})
 
 
 def _check(error: int) -> None:
