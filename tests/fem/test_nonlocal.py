@@ -19,6 +19,7 @@ import homogeneous_shear  # noqa: E402
 import length as demo_of_length  # noqa: E402
 
 SAND = Material(0.5, elastic_strain=0.01)
+pytestmark = pytest.mark.filterwarnings("ignore:a length does not suit")      # full in three dimensions
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
@@ -288,9 +289,9 @@ def test_wrong_lengths_and_conditions_are_refused_in_words():
         fem.Problem(mesh, SAND, start, [falling], length=0.1).solve_increment(1.0)
 
 
-def test_a_closure_whose_transverse_modulus_vanishes_is_warned_of():
+def test_a_closure_that_a_length_does_not_suit_is_warned_of():
     sand = Material(0.1, closure="basic", elastic_strain=0.01)
-    with pytest.warns(UserWarning, match="take the closure 'kinematic'"):
+    with pytest.warns(UserWarning, match="a length does not suit the closure 'basic'"):
         fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1, 1), (2, 2)), sand, sand.isotropic(0.6, pressure=0.01), length=0.1)
 
 
@@ -322,4 +323,5 @@ def test_with_degree_2_and_gravity_a_layer_and_a_sector_are_the_whole(tmp_path):
 def test_the_demo_shows_a_width_that_the_mesh_does_not_change(tmp_path):
     rows = demo_of_length.main(**demo_of_length.SHORT, out=tmp_path)                         # asserts the widths and torques
     assert {path.name for path in tmp_path.iterdir()} == {"length.csv", "length.png"}
-    assert all(row["iterations"] < 4 for row in rows)
+    without, with_length = rows[:2], rows[2:]
+    assert all(row["iterations"] < other["iterations"] for row, other in zip(with_length, without, strict=True))

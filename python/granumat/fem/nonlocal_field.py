@@ -1,18 +1,14 @@
 """The nonlocal strain of a body with a length, which is solved for together with the displacements."""
 
-import warnings
-
 import numpy as np
 
 from .. import tensors
-from ..material import Material
 from .body import Body
 from .numbering import Numbering
 from .system import System
 
 STRAIN_FLOOR = 1e-10                # residuals are relative to at least this strain everywhere
 PRESSURE_FLOOR = 1e-6               # in k/d, of the scale of the equations of m
-ANY_VOLUME_FRACTION = 0.6           # eta_t does not depend on it
 STRAIN_AT_REST = 1e-4               # takes the place of m in that scale where m = 0 everywhere
 # For the first guess. The matrix is that of mass and diffusion: its condition grows as (length over the cells' size)^2.
 SMOOTHING_SOLVER = {"ksp_type": "cg", "pc_type": "jacobi", "ksp_rtol": 1e-10}
@@ -133,14 +129,3 @@ class NonlocalField:
     def _at_vertices(self, nodal: np.ndarray) -> np.ndarray:
         """Values (cells, vertices per cell, ...) from those (nodes, ...)."""
         return nodal[self._body.cell_nodes[:, :self._body.element.vertex_values.shape[1]]]
-
-
-def warn_of_closure(material: Material) -> None:
-    """Warns of a material whose transverse modulus is not positive where steady shear reverses: there a length makes it worse."""
-    reversed_shear = np.array(material.steady(ANY_VOLUME_FRACTION)).reshape(1)
-    reversed_shear["direction"] *= -1
-    eta_t = float(material.transverse_modulus(reversed_shear)[0])
-    if eta_t <= 0:
-        warnings.warn(f"length: with the closure {material.closure!r} at mu = {material['mu']:g} eta_t falls "
-                      f"to {eta_t:.3g} where shear reverses, and a length lets short waves grow faster there: take the closure "
-                      "'kinematic'", stacklevel=3)

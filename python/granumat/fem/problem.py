@@ -1,5 +1,6 @@
 """A quasi-static boundary-value problem: Newton's method for one increment at a time, which is accepted or not."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from types import NoneType
@@ -20,7 +21,7 @@ from .cellwise import together
 from .conditions import Displacement, NonlocalStrain, Periodic, Pressure, Tied, Traction, Where
 from .errors import format_position
 from .loads import Loads
-from .nonlocal_field import NonlocalField, warn_of_closure
+from .nonlocal_field import NonlocalField
 from .numbering import Numbering
 from .system import System
 from .trial import Snapshot, Trial
@@ -144,8 +145,9 @@ class Problem:
         self.system = System(self.comm, self.body.owned_nodes * unknowns, self.d, self.numbering.cell_labels,
                              self.numbering.labels, solver or {})
         self.nonlocal_field = NonlocalField(self.body, length, self.numbering) if length > 0 else None
-        if length > 0:
-            warn_of_closure(material)
+        fault = material.length_fault(self.d) if length > 0 else None
+        if fault:
+            warnings.warn(fault, stacklevel=2)
 
         self.t, self.increments = 0.0, 0
         self.last: Trial | None = None
