@@ -8,7 +8,7 @@ import pytest
 from mpi4py import MPI
 
 from granumat import Material, fem
-from granumat.fem import scene
+from granumat.fem import scene, system
 from support import scenes
 from support.xdmf import records
 
@@ -325,3 +325,15 @@ def test_the_demo_shows_a_width_that_the_mesh_does_not_change(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"length.csv", "length.png"}
     without, with_length = rows[:2], rows[2:]
     assert all(row["iterations"] < other["iterations"] for row, other in zip(with_length, without, strict=True))
+
+
+def test_solvers_that_fail_are_followed_by_others_that_give_the_same(monkeypatch):
+    def torque():
+        return turned(3, 9, 0.015, 0.01, length=0.3, cell="hexahedron")[0].columns()["torque"]
+
+    expected = torque()
+    monkeypatch.setattr(system, "DIRECT_FIRST_UP_TO", {2: 0, 3: 0})
+    one, another = ({**options, "ksp_max_it": 1} for options in system.ITERATIVE_WITH_LENGTH)
+    for solvers in ((one, system.ITERATIVE_WITH_LENGTH[1]), (one, another)):       # ILU(1) takes over, then MUMPS
+        monkeypatch.setattr(system, "ITERATIVE_WITH_LENGTH", solvers)
+        assert torque() == pytest.approx(expected, rel=1e-7)

@@ -76,6 +76,7 @@ class System:
     def __init__(self, comm: MPI.Comm, owned: int, d: int, cell_labels: np.ndarray, labels: np.ndarray,
                  options: Mapping[str, object]) -> None:
         self.size, block_size = comm.allreduce(owned), labels.shape[1]
+        self._has_length = block_size > d
         self._cell_labels = np.ascontiguousarray(cell_labels, PETSc.IntType)
         cells, n = self._cell_labels.shape
         self.cell_matrices = np.empty((cells, n, n))
@@ -95,7 +96,7 @@ class System:
 
         fallbacks: list[Mapping[str, object]] = []
         if "pc_type" not in options:
-            first, *fallbacks = default_solvers(d, self.size, block_size > d)
+            first, *fallbacks = default_solvers(d, self.size, self._has_length)
             options = {**first, **options}
         self._fallbacks = [make_solver(comm, fallback) for fallback in fallbacks]
         self.matrix = PETSc.Mat().create(comm=comm)
@@ -182,7 +183,11 @@ class System:
         """Whether the solver, or one that it falls back on, solves the assembled equations."""
         solved = self._solve(self.solver, right)
         self._warn_of_unused_options()
-        return solved or any(self._solve(fallback, right) for fallback in self._fallbacks)
+        for fallback in self._fallbacks:
+            solved = solved or self._solve(fallback, right)
+            if self._has_length and fallback.getPC().getType() == "lu":            # rarely needed, and far larger than the matrix
+                fallback.reset()
+        return solved
 
     def _solve(self, solver: PETSc.KSP, right: PETSc.Vec) -> bool:
         solver.setOperators(self.matrix)
