@@ -142,16 +142,16 @@ contains
     end do
   end function value_at
 
-  !> The adjoint of the series: derivatives of a sum over k of g_k : M_k by M at the start, S/m, m and W.
+  !> The adjoint of the series: derivatives of a sum over k of g_k : M_k by M at the start, S^ (over R), R, m and W.
   !!
   !! The adjoint q of M_k runs backward, q_(k-1) = (-(W q_k - q_k W) - m/e_r q_k)/k + g_(k-1).
-  pure subroutine adjoint_mobilisation(par, solution, S_hat, R, nonlocal, w, g, by_M, by_S_over_m, by_nonlocal, by_spin)
+  pure subroutine adjoint_mobilisation(par, solution, S_hat, R, nonlocal, w, g, by_M, by_S_hat, by_R, by_nonlocal, by_spin)
     type(material_parameters), intent(in) :: par
     type(mobilisation_solution), intent(in) :: solution
     real(dp), intent(in) :: S_hat(LANES, 5), R(LANES), nonlocal(LANES), w(LANES, 3)
     real(dp), intent(in) :: g(LANES, 5, 0:MAX_POWER)
-    real(dp), intent(out) :: by_M(LANES, 5), by_S_over_m(LANES, 5), by_nonlocal(LANES), by_spin(LANES, 3)
-    real(dp) :: ratio(LANES), q(LANES, 5)
+    real(dp), intent(out) :: by_M(LANES, 5), by_S_hat(LANES, 5), by_R(LANES), by_nonlocal(LANES), by_spin(LANES, 3)
+    real(dp) :: ratio(LANES), q(LANES, 5), q_S(LANES)
     integer :: k
 
     ratio = nonlocal / par%elastic_strain
@@ -164,8 +164,10 @@ contains
       by_spin = by_spin + spin_derivative(q, solution%M(:, :, k - 1))
       by_M = g(:, :, k - 1) - corotate(w, q) - times(ratio, q)
     end do
-    by_nonlocal = (by_nonlocal + R * contract(q, S_hat)) / par%elastic_strain
-    by_S_over_m = times(ratio, q)
+    q_S = contract(q, S_hat)
+    by_nonlocal = (by_nonlocal + R * q_S) / par%elastic_strain
+    by_R = ratio * q_S
+    by_S_hat = times(ratio, q)
   end subroutine adjoint_mobilisation
 
 end module granumat_mobilisation

@@ -322,7 +322,8 @@ contains
     type(shared_derivatives), intent(in) :: shared
     real(dp), intent(in) :: by_excess(LANES)             ! of the function by Z2 - Zc at the end
     type(adjoint), intent(inout) :: f
-    real(dp) :: g(LANES, 5, 0:MAX_POWER), by_S_over_m(LANES, 5), by_nonlocal(LANES), by_spin(LANES, 3), weight(LANES, N_NODES)
+    real(dp) :: g(LANES, 5, 0:MAX_POWER), by_S_hat(LANES, 5), weight(LANES, N_NODES)
+    real(dp) :: by_R(LANES), by_nonlocal(LANES), by_spin(LANES, 3)
     integer :: i, k
 
     do i = 1, N_NODES
@@ -337,10 +338,10 @@ contains
       f%S_hat = f%S_hat + times(sum(weight, 2), step%mobilisation%M(:, :, k))
       weight = weight * step%t
     end do
-    call adjoint_mobilisation(par, step%mobilisation, inc%S_hat, inc%R, step%nonlocal, step%w, g, f%dev, by_S_over_m, by_nonlocal, &
-      by_spin)
-    f%S_hat = f%S_hat + by_S_over_m
-    if (inc%has_length) f%R = f%R + contract(by_S_over_m, inc%S_hat)
+    call adjoint_mobilisation(par, step%mobilisation, inc%S_hat, inc%R, step%nonlocal, step%w, g, f%dev, by_S_hat, by_R, &
+      by_nonlocal, by_spin)
+    f%S_hat = f%S_hat + by_S_hat
+    if (inc%has_length) f%R = f%R + by_R
     f%nonlocal = f%nonlocal + step%share * by_nonlocal
     f%w = f%w + times_spin(step%share, by_spin)
   end subroutine adjoint_friction
@@ -471,7 +472,7 @@ contains
     type(adjoint), intent(in) :: f(:)
     real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS), by_nonlocal(LANES, 6)
     real(dp) :: rows(LANES, N_COLUMNS, N_ADJOINTS_3D), by_m(LANES, N_ADJOINTS_3D), strain(LANES, 6)
-    real(dp), dimension(LANES) :: inverse, inverse_S, by_mod_D, by_tr_D
+    real(dp), dimension(LANES) :: inverse, inverse_S, by_mod_D, by_trace, by_tr_D
     integer :: i, j, n, row
 
     n = size(f)
@@ -481,12 +482,14 @@ contains
     by_m(:, n:) = 0
     do i = 1, n
       row = merge(i, N_ADJOINTS_3D, i < n)
-      if (inc%has_length) then
-        by_mod_D = inverse * (f(i)%R - contract(f(i)%S_hat, inc%S_hat)) / 2
+      by_mod_D = f(i)%nonlocal
+      by_trace = f(i)%tr_direction
+      if (inc%has_length) then                                           ! |D| is in S^ and R only
         by_m(:, row) = f(i)%nonlocal - inverse * (inc%R * f(i)%R + f(i)%tr_direction * inc%tr_direction)
-      else
-        by_mod_D = (f(i)%nonlocal - inverse * (contract(f(i)%S_hat, inc%S_hat) + f(i)%tr_direction * inc%tr_direction)) / 2
+        by_mod_D = inverse * f(i)%R
+        by_trace = 0
       end if
+      by_mod_D = (by_mod_D - inverse * (contract(f(i)%S_hat, inc%S_hat) + by_trace * inc%tr_direction)) / 2
       by_tr_D = f(i)%tr_D + inverse * f(i)%tr_direction
       strain = to_voigt(f(i)%S + times(inverse, f(i)%S_hat) + times(inverse_S * f(i)%mod_S, inc%S_hat))
       do j = 1, 6
