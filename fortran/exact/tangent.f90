@@ -70,7 +70,7 @@ contains
     type(substep_record), intent(inout) :: record             ! of all substeps
     integer, intent(in) :: n                                  ! functions: the first n - 1 components of the deviator, the pressure
     real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
-    real(dp), intent(out) :: by_nonlocal(LANES, 6)            ! of an increment with a length
+    real(dp), intent(out), optional :: by_nonlocal(LANES, 6)  ! of an increment with a length
     type(adjoint) :: f(N_ADJOINTS_3D)
     type(internal_state) :: again
     integer :: i, status(LANES)
@@ -126,9 +126,11 @@ contains
       dev_over_p = stress_deviator(par, x%A, inc%S_hat, one)
       p = pressure(par, pressure_factor(par, x%A, inc%tr_direction), x%excess)
       call deviator_slopes(par, x%A, inc%S_hat, product_matrix(inc%S_hat), p, by_A, by_S_hat)
-      by_R = 0
       if (inc%has_length) then
         by_R = times(p, dev_over_p + par%a4 * x%A)
+        do i = 1, n - 1
+          f(i)%R = by_R(:, i)
+        end do
         if (par%closure /= CRITICAL) call nonlocal_slopes(par, inc%R, p, by_A)     ! CRITICAL: A = lambda S^, so over R, too
         dev_over_p = nonlocal_deviator(par, x%A, inc%R, one, dev_over_p)
       end if
@@ -137,7 +139,6 @@ contains
         f(i)%excess = dev_over_p(:, i) * by%excess
         f(i)%tr_direction = dev_over_p(:, i) * by%trace
         f(i)%S_hat = by_S_hat(:, i, :)
-        f(i)%R = by_R(:, i)
       end do
     end if
   end subroutine seed_adjoints
@@ -470,7 +471,8 @@ contains
   pure subroutine tangent_from_adjoints(inc, f, tangent, by_nonlocal)
     type(increment), intent(in) :: inc
     type(adjoint), intent(in) :: f(:)
-    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS), by_nonlocal(LANES, 6)
+    real(dp), intent(out) :: tangent(LANES, 6, N_COLUMNS)
+    real(dp), intent(out), optional :: by_nonlocal(LANES, 6)
     real(dp) :: rows(LANES, N_COLUMNS, N_ADJOINTS_3D), by_m(LANES, N_ADJOINTS_3D), strain(LANES, 6)
     real(dp), dimension(LANES) :: inverse, inverse_S, by_mod_D, by_trace, by_tr_D
     integer :: i, j, n, row
@@ -504,7 +506,7 @@ contains
     do j = 1, N_COLUMNS
       tangent(:, :, j) = add_identity(to_voigt(rows(:, j, :5)), -rows(:, j, 6))
     end do
-    if (inc%has_length) by_nonlocal = add_identity(to_voigt(by_m(:, :5)), -by_m(:, 6))
+    if (present(by_nonlocal)) by_nonlocal = add_identity(to_voigt(by_m(:, :5)), -by_m(:, 6))
   end subroutine tangent_from_adjoints
 
 end module granumat_tangent

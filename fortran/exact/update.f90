@@ -36,7 +36,7 @@ contains
     real(dp), intent(out), optional :: by_nonlocal(LANES, 6)           ! with the tangent: d stress_i / d m
     type(increment) :: inc
     logical :: moves(LANES)
-    real(dp) :: m(LANES), probe, by_m(LANES, 6)
+    real(dp) :: m(LANES), probe
     integer :: i
 
     status = status_before(old, strain, spin)
@@ -56,17 +56,17 @@ contains
     end if
     if (present(nonlocal)) call make_nonlocal(m, old%direction, inc)
     if (present(tangent)) then
-      call deform(par, old, inc, new, status, n_adjoints, tangent, by_m)
+      call deform(par, old, inc, new, status, n_adjoints, tangent, by_nonlocal)
     else
       call deform(par, old, inc, new, status)
     end if
     call complete(old, inc%spin, moves, new, status)
     if (.not. present(tangent)) return
     do i = 1, LANES
-      if (status(i) /= OK) tangent(i, :, :) = 0
-      if (status(i) /= OK) by_m(i, :) = 0
+      if (status(i) == OK) cycle
+      tangent(i, :, :) = 0
+      if (present(by_nonlocal)) by_nonlocal(i, :) = 0
     end do
-    if (present(by_nonlocal)) by_nonlocal = by_m
   end subroutine update
 
   !> Whether states and increments can be integrated, as a status.
