@@ -1,18 +1,23 @@
 # %% [markdown]
 # # A shear layer with weight under a loaded platen
 #
-# A periodic layer on a rough bed carries a rough platen of constant load, which drags it sideways. The shear stress is the same at
-# every height, but weight raises the pressure with depth: the layer yields below the platen and rests further down. The law has
-# no length scale: all shear ends in the row of elements at the platen, however thin. The rate term spreads it to a depth that no
-# longer depends on the mesh. With tau = m N + alpha p D/2 (D the shear rate, N the normal stress at depth s, N = N_0 (1 + s/l),
-# m and r = p/N those of steady shear) and D = 0 at a depth h, the platen's speed V gives h:
-# V = (2 m/(alpha r)) ((l + h) log(1 + h/l) - h).
+# A periodic layer on a rough bed carries a rough platen of constant load, which drags it sideways. The shear stress tau is the same
+# at every height, but weight raises the normal stress with depth s, N = N_0 (1 + s/L): the layer yields below the platen and rests
+# further down. With neither rate term nor length all shear ends in the row of elements at the platen, however thin.
+#
+# The rate term spreads it to a depth that no longer depends on the mesh. With tau = mu N + alpha p D/2 (D the shear rate, mu and
+# r = p/N those of steady shear) and D = 0 at a depth h, the platen's speed V gives h:
+# V = (2 mu/(alpha r)) ((L + h) log(1 + h/L) - h).
+#
+# So does a length l, and nothing depends on the speed. Steady flow at a constant R = abs(D)/m, with m the nonlocal strain, has one
+# ratio of stresses mu(R); l^2 m'' = m (1 - R(tau/N)), with m' = 0 at platen and bed, has a positive solution for one tau only.
 
 # %%
 import fields
 import numpy as np
 from matplotlib.figure import Figure
 from mpi4py import MPI
+from scipy.linalg import eigh_tridiagonal
 from scipy.optimize import brentq
 
 from granumat import STATE, Material, fem
@@ -22,8 +27,9 @@ PHI = 0.60
 LOAD = 0.005                           # pressure of the platen
 RANK = MPI.COMM_WORLD.rank
 WEIGHT = 0.01                          # of the solid, per volume of solid, in k/d per height of the layer
-ALPHA = 0.05                           # rate term; the platen moves at a speed of 1
-SHORT = {"rows": (6,), "drag": 0.2, "increments": 20}
+CASES = {"neither": (0.0, 0.0), "rate term": (0.05, 0.0), "length": (0.0, 0.1)}     # alpha, l; the platen moves at a speed of 1
+DEPTH = LOAD / (PHI * WEIGHT)          # L, in which the weight adds the load once more
+SHORT = {"rows": (6,), "drag": 0.15, "increments": 12}
 
 
 def resting(x):
@@ -36,24 +42,49 @@ def platen(x):
     return np.isclose(x[1], 1)
 
 
-def theory():
-    """Depth of the shear and shear force per area over the load, in the steady state with the rate term."""
+def with_rate_term(alpha):
+    """Steady state: shear force per area over the load, and the rate of shear as a function of depth."""
     sigma = -SAND.steady(PHI).stress
-    m, r = -sigma[4] / sigma[2], sigma[:3].sum() / 3 / sigma[2]
-    length = LOAD / (PHI * WEIGHT)
-    depth = brentq(lambda h: 2 * m / (ALPHA * r) * ((length + h) * np.log1p(h / length) - h) - 1, 0, 1)
-    return depth, m * (1 + depth / length), lambda s: np.maximum(2 * m / (ALPHA * r) * ((length + depth) / (length + s) - 1), 0)
+    mu, r = -sigma[4] / sigma[2], sigma[:3].sum() / 3 / sigma[2]
+    h = brentq(lambda h: 2 * mu / (alpha * r) * ((DEPTH + h) * np.log1p(h / DEPTH) - h) - 1, 0, 1)
+    return mu * (1 + h / DEPTH), lambda s: np.maximum(2 * mu / (alpha * r) * ((DEPTH + h) / (DEPTH + s) - 1), 0)
+
+
+def ratios(R, clock=10.0, steps=100):
+    """Shear stress over normal stress (n) in steady shear of the law at constant R (n)."""
+    states, gradients, m = np.full(len(R), SAND.isotropic(PHI, pressure=LOAD)), np.zeros((len(R), 3, 3)), clock / steps
+    gradients[:, 0, 1] = 2 * m * R                                  # abs(D) is half the shear
+    for _ in range(steps):
+        states = SAND.update(states, gradients, nonlocal_strain=np.full(len(R), m))
+    return states["stress"][:, 3] / states["stress"][:, 1]
+
+
+def with_length(length, cells=1000):
+    """The same with a length: the tau for which m (1 - R) - l^2 m'' has the least eigenvalue 0, by finite volumes."""
+    R, h = np.linspace(0, 2, 101), 1 / cells
+    mu, s = abs(ratios(R)), (np.arange(cells) + 0.5) * h
+    flux = np.full(cells + 1, (length / h)**2)
+    flux[[0, -1]] = 0
+
+    def least(ratio):
+        at = np.interp(ratio / (1 + s / DEPTH), mu, R)
+        value, m = eigh_tridiagonal(1 - at + flux[1:] + flux[:-1], -flux[1:-1], select="i", select_range=(0, 0))
+        return value[0], at * abs(m[:, 0])
+
+    ratio = brentq(lambda ratio: least(ratio)[0], mu[50], mu[-1])
+    rates = least(ratio)[1]
+    return ratio, lambda depth: np.interp(depth, s, rates / rates.mean())
 
 
 # %%
-def drag_layer(rows, rate_term, drag, increments):
+def drag_layer(rows, rate_term, length, drag, increments):
     """Displacement of the platen and the force on it over the load, and the rate of shear of every row in the last increment."""
     width = 2 / rows
     problem = fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (width, 1.0), (2, rows)), SAND, resting, [
         fem.Displacement(lambda x: np.isclose(x[1], 0)), fem.Displacement(platen, lambda x, t: np.array([t, 0.0]), components=[0]),
         fem.Tied(platen, 1), fem.Pressure(platen, LOAD),
         fem.Periodic(lambda x: np.isclose(x[0], width), lambda x: x - np.array([width, 0.0]))],
-        gravity=(0.0, -WEIGHT), rate_term=rate_term)
+        gravity=(0.0, -WEIGHT), rate_term=rate_term, length=length)
     force = []
 
     def watch(problem):
@@ -65,50 +96,52 @@ def drag_layer(rows, rate_term, drag, increments):
     return np.array(force), shear / (force[-1][0] - force[-2][0])
 
 
-def sheared_depth(rates):
-    """How far down the rate of shear is above 2 % of its largest."""
-    return np.count_nonzero(rates > 0.02 * rates.max()) / len(rates)
-
-
-def main(rows=(8, 16, 32), drag=1.0, increments=100, out=None):
+def main(rows=(8, 16, 32), drag=2.0, increments=200, out=None):
     data = {}
-    for rate_term in (0.0, ALPHA):
+    for name, case in CASES.items():
         for count in rows:
-            force, rates = drag_layer(count, rate_term, drag, increments)
-            data |= {f"{rate_term} {count} force": force, f"{rate_term} {count} rates": rates}
+            force, rates = drag_layer(count, *case, drag, increments)
+            data |= {f"{name} {count} force": force, f"{name} {count} rates": rates}
             if RANK == 0:
-                print(f"alpha {rate_term:4}, {count:2} rows: sheared depth {sheared_depth(rates):.3f}, "
-                      f"force over load {force[-1, 1]:.4f}, largest rate of shear {rates.max():.2f}")
+                print(f"{name:9}, {count:2} rows: force over load {force[-1, 1]:.4f}, largest rate of shear {rates.max():.2f}")
+    steady = {"rate term": with_rate_term(CASES["rate term"][0]), "length": with_length(CASES["length"][1])}
     if drag >= 1:
-        depth, ratio, _ = theory()
-        if RANK == 0:
-            print(f"steady theory with alpha: depth {depth:.3f}, force over load {ratio:.4f}")
-        for count in rows:
-            assert sheared_depth(data[f"0.0 {count} rates"]) == 1 / count
-            assert abs(sheared_depth(data[f"{ALPHA} {count} rates"]) - depth) < 1 / count + 0.03
-            assert abs(data[f"{ALPHA} {count} force"][-1, 1] / ratio - 1) < 0.005
+        compare(data, steady, rows)
     if out and RANK == 0:
-        fields.save(picture(data, rows), out, "platen-gravity")
+        fields.save(picture(data, steady, rows), out, "platen-gravity")
     return data
 
 
-def picture(data, rows):
-    """Rate of shear along the height without and with the rate term, and the force on the platen."""
-    figure = Figure(figsize=(10, 3.2), layout="constrained")
-    panels = figure.subplots(1, 3)
-    for panel, rate_term, line, more in zip(panels, (0.0, ALPHA), ("--", "-"), ("", ", rate term")):
+def compare(data, steady, rows):
+    """Without either all shear is in one row; with them force and rates are those of the steady solutions."""
+    for count in rows:
+        assert data[f"neither {count} rates"].max() > 0.98 * count
+        for name, (ratio, rates) in steady.items():
+            off = data[f"{name} {count} force"][-1, 1] / ratio - 1
+            expected = rates(1 - (np.arange(20 * count) + 0.5) / (20 * count)).reshape(count, 20).mean(axis=1)
+            scatter = np.sqrt(((data[f"{name} {count} rates"] - expected)**2).mean())
+            if RANK == 0:
+                print(f"{name:9}, {count:2} rows: force off the steady {ratio:.4f} by {off:+.2%}, rates by {scatter:.3f} rms")
+            assert abs(off) < 0.03 * (8 / count)**2 + 0.005 and scatter < 1.5 * (8 / count)**2 + 0.1
+
+
+def picture(data, steady, rows):
+    """Rate of shear along the height, and the force on the platen."""
+    figure = Figure(figsize=(12, 3.2), layout="constrained")
+    panels, heights = figure.subplots(1, 4), np.linspace(0, 1, 201)
+    for axes, (name, (alpha, length)), line in zip(panels, CASES.items(), ("--", "-", "-.")):
         for color, count in enumerate(rows):
-            style = {"linestyle": line, "color": f"C{color}", "label": f"{count} rows{more}"}
-            panel.stairs(data[f"{rate_term} {count} rates"], np.linspace(0, 1, count + 1), orientation="horizontal",
-                         baseline=None, **style)
-            panels[2].plot(*data[f"{rate_term} {count} force"].T, **style)
-    heights = np.linspace(0, 1, 201)
-    panels[1].plot(theory()[2](1 - heights), heights, "k:", label="steady theory")
-    panels[0].set(xlabel="rate of shear, no rate term", ylabel="height")
-    panels[1].set(xlabel=f"rate of shear, $\\alpha$ = {ALPHA}", ylabel="height")
-    panels[2].set(xlabel="displacement of the platen over height", ylabel="shear force over load")
-    for panel in panels:
-        panel.legend(frameon=False, fontsize=7, loc="lower right")
+            axes.stairs(data[f"{name} {count} rates"], np.linspace(0, 1, count + 1), orientation="horizontal", baseline=None,
+                        color=f"C{color}", label=f"{count} rows")
+            panels[3].plot(*data[f"{name} {count} force"].T, line, color=f"C{color}", label=name if count == rows[-1] else None)
+        if name in steady:
+            axes.plot(steady[name][1](1 - heights), heights, "k:", label="steady theory")
+            panels[3].axhline(steady[name][0], color="k", linestyle=":", linewidth=0.8)
+        title = f"$\\alpha$ = {alpha:g}" if alpha else f"$l$ = {length:g}" if length else "neither rate term nor length"
+        axes.set(title=title, xlabel="rate of shear", ylabel="height")
+        axes.legend(frameon=False, fontsize=7, loc="lower right")
+    panels[3].set(xlabel="path of the platen over height", ylabel="shear force over load")
+    panels[3].legend(frameon=False, fontsize=7, loc="lower right")
     return figure
 
 

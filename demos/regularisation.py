@@ -1,9 +1,10 @@
 # %% [markdown]
-# # What the two regularisations change
+# # What the three regularisations change
 #
-# The elastic strain e_r and the rate term alpha, each small and larger, on three meshes of the annular shear cell (one sector tied
-# to itself): what they change in the torque and the pressure, and what is left of the mesh dependence. The rate term's shear rate
-# is per radian that the wall turns; as the gap is as wide as the inner radius, that is the mean shear rate over the gap.
+# The elastic strain e_r, the rate term alpha and the length l, each small and larger, on three meshes of the annular shear cell
+# (one sector tied to itself): what they change in the torque, what is left of the mesh dependence, and what a width of the sheared
+# zone costs in torque. The rate term's shear rate is per radian that the wall turns; as the gap is as wide as the inner radius,
+# that is the mean shear rate over the gap.
 
 # %%
 from itertools import product
@@ -16,77 +17,93 @@ from mpi4py import MPI
 
 from granumat import Material, fem
 
-MESHES = (8, 16, 32)
+MESHES = (16, 32, 64)
 ELASTIC_STRAINS = (1e-3, 1e-2)
-RATE_TERMS = (0.0, 0.01, 0.05)
-TURN, BACK, INCREMENT, SECTORS = 0.12, 0.08, 0.002, 96
-SHORT = {"meshes": (8, 16), "elastic_strains": (1e-2,), "rate_terms": (0.0, 0.05), "increment": 0.01}
-COLUMNS = ("elastic_strain", "rate_term", "rings", "torque", "torque_back", "pressure", "width", "iterations", "reached")
+CASES = ((0.0, 0.0), (0.01, 0.0), (0.02, 0.0), (0.05, 0.0), (0.0, 0.025), (0.0, 0.05), (0.0, 0.1))         # alpha, l
+TURN, BACK, INCREMENT = 0.12, 0.08, 0.002
+SHORT = {"meshes": (8, 16), "elastic_strains": (1e-2,), "cases": ((0.0, 0.0), (0.05, 0.0), (0.0, 0.2)), "increment": 0.01}
+COLUMNS = ("elastic_strain", "rate_term", "length", "rings", "torque", "torque_back", "pressure", "width", "iterations",
+           "increments")
 
 
 # %%
-def attempt(elastic_strain, rate_term, rings, increment):
+def attempt(elastic_strain, rate_term, length, rings, increment):
     """A row of COLUMNS (torque and pressure at the reversal, torque_back a quarter of the way back), and Watch's columns."""
-    sand = Material(0.5, elastic_strain=elastic_strain)
-    problem, inner = ring(sand, rings, 1, TURN, part=1 / SECTORS, rate_term=rate_term)
-    watch, wide = Watch(problem, inner, rings, 1 / SECTORS), []
-
-    try:
-        fem.run(problem, TURN + BACK, increment, events=[TURN],
-                observers=[watch, lambda problem: wide.append(sheared_zone(problem)) if problem.t == TURN else None])
-    except fem.SolveError as error:
-        print(error) if problem.comm.rank == 0 else None
+    sand, part = Material(0.5, elastic_strain=elastic_strain), 1 / round(2 * np.pi * rings)
+    problem, inner = ring(sand, rings, 1, TURN, part=part, rate_term=rate_term, length=length)
+    watch, wide = Watch(problem, inner, rings, part), []
+    fem.run(problem, TURN + BACK, increment, events=[TURN],
+            observers=[watch, lambda problem: wide.append(sheared_zone(problem)) if problem.t == TURN else None])
     columns = watch.columns()
     at, back = (np.argmin(abs(columns["path"] - path)) for path in (TURN, TURN + BACK / 4))
     return dict(zip(COLUMNS, (
-        elastic_strain, rate_term, rings, columns["torque"][at], columns["torque"][back], columns["pressure"][at],
-        np.append(wide, np.nan)[0], columns["iterations"].mean(), problem.t))), columns
+        elastic_strain, rate_term, length, rings, columns["torque"][at], columns["torque"][back], columns["pressure"][at], wide[0],
+        columns["iterations"].mean(), len(columns["path"])))), columns
 
 
 # %%
-def main(meshes=MESHES, elastic_strains=ELASTIC_STRAINS, rate_terms=RATE_TERMS, increment=INCREMENT, out=None):
+def main(meshes=MESHES, elastic_strains=ELASTIC_STRAINS, cases=CASES, increment=INCREMENT, out=None):
     rows, paths = [], {}
-    for case in product(elastic_strains, rate_terms, meshes):
-        row, paths[case] = attempt(*case, increment)
+    for elastic_strain, case, rings in product(elastic_strains, cases, meshes):
+        row, paths[elastic_strain, *case, rings] = attempt(elastic_strain, *case, rings, increment)
         rows.append(row)
         if MPI.COMM_WORLD.rank == 0:
             print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
     if out and MPI.COMM_WORLD.rank == 0:
         save(out, "regularisation", COLUMNS, rows, draw(rows, paths))
-    found = {(row["elastic_strain"], row["rate_term"], row["rings"]): row["width"] for row in rows}
-    for elastic_strain in elastic_strains:              # only with a rate term the width does not depend on the mesh
-        coarse, fine = ({alpha: found[elastic_strain, alpha, rings] for alpha in rate_terms} for rings in meshes[-2:])
-        assert fine[0.0] < 0.6 * coarse[0.0]
-        assert abs(fine[max(rate_terms)] / coarse[max(rate_terms)] - 1) < 0.05
+    for coarse, fine in zip(rows, rows[1:]):           # of the two finest meshes; without alpha and l the width follows the mesh
+        if (coarse["rings"], fine["rings"]) == meshes[-2:]:
+            ratio = fine["width"] / coarse["width"]
+            assert abs(ratio - 1) < 0.1 if fine["rate_term"] or fine["length"] else ratio < 0.6
     return rows
 
 
 def draw(rows, paths):
-    strains, alphas, meshes = (sorted({row[name] for row in rows}) for name in COLUMNS[:3])
+    strains, meshes = (sorted({row[name] for row in rows}) for name in ("elastic_strain", "rings"))
+    cases = list(dict.fromkeys((row["rate_term"], row["length"]) for row in rows))
     figure = Figure(figsize=(12, 6.4), layout="constrained")
-    upper, lower = (part.subplots(1, count) for part, count in zip(figure.subfigures(2, 1), (len(alphas), 3)))
+    upper, lower = figure.subplots(2, 3)
     colours, lines = dict(zip(meshes, ("#E69F00", "#009E73", "#0072B2"))), dict(zip(reversed(strains), ("-", ":")))
-    for axes, rate_term in zip(upper, alphas):
-        for (elastic_strain, alpha, rings), columns in paths.items():
-            if alpha == rate_term:
+    for axes, shown in zip(upper, (min(cases), max(cases), max(cases, key=lambda case: case[1]))):
+        for (elastic_strain, *case, rings), columns in paths.items():
+            if tuple(case) == shown:
                 axes.plot(columns["path"], columns["torque"], lines[elastic_strain], color=colours[rings],
                           label=f"{rings} rings, $e_r$ = {elastic_strain:g}")
-        axes.set(title=rf"rate term $\alpha$ = {rate_term:g}", xlabel="path of the inner wall [rad]",
-                 ylabel="torque per height [k/d]", ylim=(-0.03, 0.038))
+        axes.set(title=in_words(*shown), xlabel="path of the inner wall [rad]", ylabel="torque per height [k/d]",
+                 ylim=(-0.03, 0.038))
     upper[0].legend(frameon=False, fontsize=7.5)
-    labels = {"width": "width of the sheared zone", "torque": "torque at the reversal [k/d]",
-              "pressure": "pressure, first ring, at the reversal [k/d]"}
-    for axes, (name, label) in zip(lower, labels.items()):
-        for rate_term, marker in zip(alphas, "osd"):
-            for elastic_strain in strains:
-                values = [row[name] for row in rows if (row["elastic_strain"], row["rate_term"]) == (elastic_strain, rate_term)]
-                axes.plot(meshes, values, lines[elastic_strain] + marker, color=f"C{alphas.index(rate_term)}", markersize=4,
-                          label=rf"$\alpha$ = {rate_term:g}, $e_r$ = {elastic_strain:g}")
+    for strain, (count, case) in product(strains, enumerate(cases)):
+        found = chosen(rows, strain, *case)
+        for axes, name in zip(lower, ("width", "torque")):
+            axes.plot(meshes, [row[name] for row in found], lines[strain] + "osv"[kind(*case)], color=f"C{count}", markersize=4,
+                      label=in_words(*case) if strain == strains[-1] else None)
+    for axes, label in zip(lower, ("width of the sheared zone", "torque at the reversal [k/d]")):
         axes.set(xlabel="rings of cells", ylabel=label, xscale="log", xticks=meshes, xticklabels=meshes)
         axes.minorticks_off()
-    lower[0].set(yscale="log", ylim=(0.005, 0.6))
+    lower[0].set(yscale="log", ylim=(0.003, 0.8))
     lower[0].legend(frameon=False, fontsize=7.5, ncols=2, loc="lower left")
+    for strain, which in product(strains, (1, 2)):
+        finest = [chosen(rows, strain, *case)[-1] for case in cases if kind(*case) in (0, which)]
+        lower[2].plot([row["width"] for row in finest], [row["torque"] for row in finest], lines[strain] + "osv"[which],
+                      color=("#D55E00", "#0072B2")[which - 1], markersize=4,
+                      label=("rate term", "length")[which - 1] + f", $e_r$ = {strain:g}")
+    lower[2].set(xlabel=f"width of the sheared zone, {meshes[-1]} rings", ylabel="torque at the reversal [k/d]")
+    lower[2].legend(frameon=False, fontsize=7.5)
     return figure
+
+
+def chosen(rows, *case):
+    """The rows of an elastic strain, rate term and length, by mesh."""
+    return [row for row in rows if (row["elastic_strain"], row["rate_term"], row["length"]) == case]
+
+
+def kind(rate_term, length):
+    """0: neither, 1: a rate term, 2: a length."""
+    return (rate_term > 0) + 2 * (length > 0)
+
+
+def in_words(rate_term, length):
+    return ("neither rate term nor length", rf"$\alpha$ = {rate_term:g}", f"$l$ = {length:g}")[kind(rate_term, length)]
 
 
 if __name__ == "__main__":

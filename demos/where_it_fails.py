@@ -21,10 +21,10 @@ from granumat import Material, fem
 CLOSURES = ("basic", "n2", "full", "kinematic", "critical")
 ELASTIC_STRAINS = (1e-2, 1e-3, 1e-4, 0.0)
 INCREMENTS = (0.008, 0.002, 0.0005)             # radians; 16 times as much shear in the first of 16 rings, once it has localised
-LENGTHS = (0.0, 0.05)
+LENGTHS = (0.0, 0.05, 0.1)                      # 16 rings are 1.25 and 0.62 of the lengths wide
 RINGS, PART, TURN, BACK = 16, 1 / 48, 0.12, 0.08
 SMALLEST = 1 / 256                              # of an increment: it is not cut to less
-SHORT = {"closures": ("full", "basic"), "elastic_strains": (1e-2, 0.0), "increments": (0.008,)}
+SHORT = {"closures": ("full", "basic"), "elastic_strains": (1e-2, 0.0), "increments": (0.008,), "lengths": (0.0, 0.1)}
 COLUMNS = ("length", "closure", "elastic_strain", "increment", "reached", "cut_to", "iterations", "torque", "eta_t", "why")
 
 
@@ -62,25 +62,26 @@ def main(closures=CLOSURES, elastic_strains=ELASTIC_STRAINS, increments=INCREMEN
         found.append(attempt(*case))
         print(in_words(found[-1][0]), flush=True) if MPI.COMM_WORLD.rank == 0 else None
     rows = [row for row, _ in found]
-    moduli = {}                     # by length and closure, preferring e_r = 0.01, then a late end, then small increments
-    for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, pair[0]["reached"], -pair[0]["increment"])):
+    moduli = {}                     # by length and closure, preferring e_r = 0.01, then small increments
+    for row, path in sorted(found, key=lambda pair: (pair[0]["elastic_strain"] == 0.01, -pair[0]["increment"])):
         moduli[row["length"], row["closure"]] = path
     if out and MPI.COMM_WORLD.rank == 0:
         save(out, "where_it_fails", COLUMNS, rows, draw(rows, moduli))
-    for row in rows:                                            # the default closure never gives up at e_r = 0.01
-        assert row["closure"] not in ("full", "kinematic") or row["elastic_strain"] != 0.01 or row["cut_to"] > 0.999
+    for row in rows:                # full and kinematic never give up at e_r = 0.01, with a length at no e_r above 0
+        if row["closure"] in ("full", "kinematic") and row["elastic_strain"] > (0 if row["length"] else 0.001):
+            assert not row["why"] and (row["length"] or row["cut_to"] > 0.999)
     return rows
 
 
 def in_words(row):
     outcome = f"stops at {row['reached']:.4f}" if row["why"] else f"goes through, cut to {row['cut_to']:.3g}"
-    return (f"l {row['length']:<4g} {row['closure']:9} e_r {row['elastic_strain']:<6g} increment {row['increment']:<6g} {outcome:28} "
-            f"{row['iterations']:.2f} iterations, torque {row['torque']:+.4f}, least eta_t {row['eta_t']:+.3f}")
+    return (f"l {row['length']:<4g} {row['closure']:9} e_r {row['elastic_strain']:<6g} increment {row['increment']:<6g} "
+            f"{outcome:28} {row['iterations']:.2f} iterations, torque {row['torque']:+.4f}, least eta_t {row['eta_t']:+.3f}")
 
 
 def draw(rows, moduli):
     lengths, closures, strains, increments = (list(dict.fromkeys(row[name] for row in rows)) for name in COLUMNS[:4])
-    figure = Figure(figsize=(12, 2 + 3.4 * len(lengths)), layout="constrained")
+    figure = Figure(figsize=(12, 2.2 + 3 * len(lengths)), layout="constrained")
     *upper, lower = figure.subfigures(len(lengths) + 1, 1, height_ratios=[3] * len(lengths) + [2])
     for part, length in zip(upper, lengths):
         for axes, closure in zip(part.subplots(1, len(closures), squeeze=False)[0], closures):
@@ -90,12 +91,12 @@ def draw(rows, moduli):
                      yticks=np.arange(len(strains)) + 0.5, yticklabels=strains, xlim=(0, len(increments)), ylim=(len(strains), 0))
             axes.tick_params(length=0)
         part.axes[0].set_ylabel(f"$l$ = {length:g}: elastic strain $e_r$")
-    axes = lower.subplots()
+    axes, styles = lower.subplots(), dict(zip(lengths, ("-", "--", ":")))
     for (length, closure), path in moduli.items():
-        axes.plot(path[:, 0] - TURN, path[:, 1], ":" if length else "-", color=f"C{closures.index(closure)}",
+        axes.plot(path[:, 0] - TURN, path[:, 1], styles[length], color=f"C{closures.index(closure)}",
                   label=None if length else closure)
     axes.axhline(0, color="0.6", linewidth=0.8)
-    axes.set(xlabel=f"path of the inner wall from its reversal on [rad]; dotted: $l$ = {max(lengths):g}",
+    axes.set(xlabel="path of the inner wall from its reversal on [rad]; full, dashed, dotted: the lengths",
              ylabel=r"least $\eta_t$ of all points", xlim=(-TURN, BACK))
     axes.legend(frameon=False, ncols=len(closures))
     return figure

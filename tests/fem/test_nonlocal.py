@@ -17,6 +17,7 @@ sys.path.insert(0, str(DEMOS))
 import annular_cell  # noqa: E402
 import homogeneous_shear  # noqa: E402
 import length as demo_of_length  # noqa: E402
+import platen_gravity  # noqa: E402
 
 SAND = Material(0.5, elastic_strain=0.01)
 pytestmark = pytest.mark.filterwarnings("ignore:a length does not suit")      # full in three dimensions
@@ -139,6 +140,15 @@ def test_below_yield_m_decays_over_the_length_over_the_root_of_1_minus_R():
         strain = np.concatenate(problem.comm.allgather(fem.cell_fields(problem, ["R"])["R"]))
         assert strain == pytest.approx(R, rel=1e-5)
     assert abs(errors[0]) < 0.005 and errors[0] / errors[1] > 3.5
+
+
+@pytest.mark.release_only
+def test_a_layer_with_weight_flows_as_steady_states_at_constant_R_say():
+    rows, (ratio, rates) = 16, platen_gravity.with_length(0.1)
+    force, found = platen_gravity.drag_layer(rows, 0.0, 0.1, 0.6, 30)
+    expected = rates(1 - (np.arange(20 * rows) + 0.5) / (20 * rows)).reshape(rows, 20).mean(axis=1)
+    assert force[-1, 1] == pytest.approx(ratio, rel=0.01)
+    assert np.sqrt(((found - expected)**2).mean()) < 0.1 * expected.mean()
 
 
 def turned(rings=4, sectors=12, turn=0.03, back=0.015, increment=0.005, length=0.2, **more):
