@@ -1,4 +1,4 @@
-"""The annular shear cell of annulus.py, regularisation.py and where_it_fails.py: walls, conditions, measurements, pictures."""
+"""The annular shear cell of annulus.py, length.py, regularisation.py, where_it_fails.py: walls, measurements, pictures."""
 
 import csv
 from pathlib import Path

@@ -5,6 +5,7 @@
 # which turns, and a rough outer wall, which is pressed inwards by a constant normal stress or, in a second run, held (constant
 # volume). Plane strain. After the reversal the torque falls, changes sign and comes back, and the pressure at the wall and the
 # packing there pass through a transient. The solution depends on the radius alone; `radial.py` finds it without finite elements.
+# All shear ends in the first ring of cells, as there is no length here; `length.py` is the same cell with one.
 
 # %%
 import fields

@@ -7,7 +7,7 @@
 # that is the mean shear rate over the gap.
 
 # %%
-from itertools import product
+from itertools import pairwise, product
 
 import fields
 import numpy as np
@@ -51,7 +51,7 @@ def main(meshes=MESHES, elastic_strains=ELASTIC_STRAINS, cases=CASES, increment=
             print("  ".join(f"{name} {value:.4g}" for name, value in row.items()), flush=True)
     if out and MPI.COMM_WORLD.rank == 0:
         save(out, "regularisation", COLUMNS, rows, draw(rows, paths))
-    for coarse, fine in zip(rows, rows[1:]):           # of the two finest meshes; without alpha and l the width follows the mesh
+    for coarse, fine in pairwise(rows):                # of the two finest meshes; without alpha and l the width follows the mesh
         if (coarse["rings"], fine["rings"]) == meshes[-2:]:
             ratio = fine["width"] / coarse["width"]
             assert abs(ratio - 1) < 0.1 if fine["rate_term"] or fine["length"] else ratio < 0.6
