@@ -30,6 +30,7 @@ SCENES = {                          # the meshes of the true solutions; none whe
     "platen-gravity": {"layer": True, "cells": [128, 128]},
     "biaxial-block": None,
     "biaxial-block-rate": {"cells": [48, 96]},
+    "biaxial-block-length": {"cells": [96, 192]},
     "ring-shear-3d": {"sector": True, "cells": [20, 320, 18]},
 }
 REPETITIONS = 3                     # of the runs whose times are compared

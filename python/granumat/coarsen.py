@@ -80,6 +80,7 @@ class Axis:
 CLOSURES = ("full", "n2", "basic", "critical")
 MU_FACTOR = 1.1                     # by which mu is known at best
 ELASTIC_FACTOR = 3.0                # the same for e_r, which the paper does not have
+LENGTH_FACTOR = 1.3                 # the same for the length of a scene, which docs/length.md has from grains
 
 
 def with_material(content: Content, **values: Any) -> Content:
@@ -132,9 +133,9 @@ def relaxation(content: Content) -> Axis | None:
 
 
 def constants(content: Content) -> list[Axis]:
-    """What is known badly: friction, elastic strain, the choice of the closure, of which "kinematic" or "full" is the other."""
+    """What is known badly: friction, elastic strain, a scene's length, the closure, of which "kinematic" or "full" is the other."""
     table = content.get("material", {})
-    mu, e_r = table.get("mu", 0.5), table.get("elastic_strain", 0.0)
+    mu, e_r, length = table.get("mu", 0.5), table.get("elastic_strain", 0.0), content.get("problem", {}).get("length", 0.0)
     closure = table.get("closure", "full")
     other = "full" if closure == "kinematic" else "kinematic"
     found = [("mu", f"{mu:g}", [(f"{value:g}", _material(mu=value)) for value in (mu / MU_FACTOR, min(mu * MU_FACTOR, 1.0))
@@ -142,6 +143,9 @@ def constants(content: Content) -> list[Axis]:
     if e_r > 0:
         found.append(("e_r", f"{e_r:g}", [(f"{value:.3g}", _material(elastic_strain=value))
                                           for value in (e_r / ELASTIC_FACTOR, e_r * ELASTIC_FACTOR)]))
+    if length > 0:
+        found.append(("l", f"{length:g}", [(f"{value:.3g}", _problem(length=value))
+                                                for value in (length / LENGTH_FACTOR, length * LENGTH_FACTOR)]))
     found.append(("choice of closure", closure, [(other, _material(closure=other))]))
     return [Axis(name, CONSTANT, (Rung(own, unchanged), *(Rung(*rung) for rung in rungs))) for name, own, rungs in found if rungs]
 
@@ -280,8 +284,8 @@ def scene_axes(content: Content) -> list[Axis]:
     axes.append(Axis("increment", NUMERICS, increments, SCENE_INCREMENTS.index(FIRST_FACTOR), True))
     if content.get("mesh", {}).get("kind") in ("box", "annulus"):
         axes.append(mesh_axis(content, names))
-    if problem.get("rate_term", 0) > 0:
-        axes.append(Axis("rate term", MODEL, (Rung(f"{problem['rate_term']:g}", unchanged), Rung("none", _without_rate_term))))
+    axes += [Axis(name, MODEL, (Rung(f"{problem[key]:g}", unchanged), Rung("none", _problem(**{key: 0.0}))))
+             for name, key in (("length", "length"), ("rate term", "rate_term")) if problem.get(key, 0) > 0]
     return axes + [axis for axis in (closures(content), relaxation(content)) if axis]
 
 
@@ -362,14 +366,13 @@ def _smallest_ring(mesh: Mapping[str, Any]) -> float:
 
 def _newton(force: float, correction: float) -> Callable[[Content], Content]:
     def change(content: Content) -> Content:
-        problem = content.get("problem", {})
-        return {**content, "problem": {**problem, "tolerances": {**problem.get("tolerances", {}), "force": force,
-                                                                 "correction": correction}}}
+        tolerances = content.get("problem", {}).get("tolerances", {})
+        return _problem(tolerances={**tolerances, "force": force, "correction": correction})(content)
     return change
 
 
-def _without_rate_term(content: Content) -> Content:
-    return {**content, "problem": {key: value for key, value in content["problem"].items() if key != "rate_term"}}
+def _problem(**values: Any) -> Callable[[Content], Content]:
+    return lambda content: {**content, "problem": {**content.get("problem", {}), **values}}
 
 
 def _scene_increment(factor: float) -> Callable[[Content], Content]:

@@ -85,6 +85,20 @@ def test_a_block_localises_and_gets_no_mesh(tmp_path):
     assert "mesh" in report.unknown and "is NOT known" in (tmp_path / "out/recommended.toml").read_text()
 
 
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:a length does not suit the closure")    # of the rungs n2 and basic
+def test_a_block_with_a_length_gets_a_mesh_and_needs_its_length(tmp_path):
+    file = tmp_path / "block.toml"
+    file.write_text(replaced(BLOCK, {"[8, 16]": "[4, 8]", "[initial]": "[problem]\nlength = 0.25\n[initial]", "increment = 4": "increment = 20"}))
+    report = ladder.climb(file, 0.1, tmp_path / "out")
+    assert report.is_proved and "localises" not in study(report, "mesh").verdict
+    own, none = study(report, "length").findings
+    assert own.rung.name == "0.25" and (none.errors > 0.05).any() and report.content["problem"]["length"] == 0.25
+    known = next(study for study in report.constants if study.axis.name == "l")
+    assert [finding.rung.name for finding in known.findings] == ["0.25", "0.192", "0.325"]
+    assert (known.findings[1].errors > 1e-3).all() and (known.findings[2].errors > 1e-3).all()
+
+
 def test_a_run_that_is_killed_goes_on_from_its_checkpoint_with_the_same_values(tmp_path, monkeypatch):
     import granumat.fem.ladder as scenes
     file = tmp_path / "ring.toml"
