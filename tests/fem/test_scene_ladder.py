@@ -89,7 +89,8 @@ def test_a_block_localises_and_gets_no_mesh(tmp_path):
 @pytest.mark.filterwarnings("ignore:a length does not suit the closure")    # of the rungs n2 and basic
 def test_a_block_with_a_length_gets_a_mesh_and_needs_its_length(tmp_path):
     file = tmp_path / "block.toml"
-    file.write_text(replaced(BLOCK, {"[8, 16]": "[4, 8]", "[initial]": "[problem]\nlength = 0.25\n[initial]", "increment = 4": "increment = 20"}))
+    file.write_text(replaced(BLOCK, {"[8, 16]": "[4, 8]", "increment = 4": "increment = 20",
+                                     "[initial]": "[problem]\nlength = 0.25\n[initial]"}))
     report = ladder.climb(file, 0.1, tmp_path / "out")
     assert report.is_proved and "localises" not in study(report, "mesh").verdict
     own, none = study(report, "length").findings
