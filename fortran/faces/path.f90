@@ -135,6 +135,7 @@ contains
       call solve_step(law, state, step, G, at(t_end), rates_end, whole, status)
       rates_middle = rates_end
       if (status == OK) call solve_step(law, state, step / 2, G, at(t + step / 2), rates_middle, middle, status)
+      rates_end = 2 * rates_end - rates_middle           ! those of the whole are about the mean of the halves'
       if (status == OK) call solve_step(law, middle, step / 2, G, at(t_end), rates_end, new, status)
       if (status /= OK) then
         if (step < SMALLEST_STEP) return
