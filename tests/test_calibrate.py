@@ -271,7 +271,7 @@ def test_ctrl_c_leaves_the_constants_so_far_and_the_old_file(table, tmp_path, ca
     count = iter(range(100))
 
     def predict_some(*arguments):
-        if next(count) == 60:
+        if next(count) == 30:
             os.kill(os.getpid(), signal.SIGINT)
         return predict(*arguments)
     monkeypatch.setattr(calibration, "predict", predict_some)

@@ -20,7 +20,7 @@ from ..signals import noted_signals
 from ..steps import SHEAR
 from ..toml import write_content
 from .comparison import SCATTER, Comparison
-from .fitting import FIRST_WEIGHT, Constants, Fit, Sample, fit, robust, search
+from .fitting import FIRST_WEIGHT, Constants, Fit, Sample, differences, fit, remembered, robust, search
 from .measured import FABRIC, Run, read_runs
 from .predicted import Prediction, columns_of, predict
 from .scores import PHASES, QUANTITIES, ROUNDING, Yardstick, root_mean_square
@@ -53,7 +53,7 @@ HELD_WITHOUT = {("Z2", "A_xz"): ("a1", "a2", "Zc", "c1"), ("Z2", "A_xz", "N1/p")
 
 PATH_TOLERANCE = 1e-4       # of histories where stresses are held
 # For the remaining time: rounds of differences in a fit, and of errors in one without some of the runs, 1.5 of these for each run.
-ROUNDS, ROUNDS_LEFT_OUT = 20, 7
+ROUNDS, ROUNDS_LEFT_OUT = 13, 7
 NOTED_PHASES = ("all", "first 0.1")         # whose scores are in the file
 SHOWN_CHANGE = 0.1          # largest change of a direction in words, relative to the constants or in sizes
 LEAST_SHOWN = 0.02          # smallest that is shown, of the largest
@@ -396,9 +396,10 @@ class _Search:
                 return np.full(size, UNREACHED) if material is None else errors(material)
             except MaterialError:
                 return np.full(size, UNREACHED)
+        constants, of_measured = self.constants.part(which), remembered(of_part)
         sample = Sample(np.full(size, 1 / size), np.zeros(size, int))
         y = self.y.copy()
-        y[which] = search(of_part, sample, self.constants.part(which), FIRST_WEIGHT, self.y[which])
+        y[which] = search(of_measured, lambda y: differences(of_measured, y, constants), sample, constants, FIRST_WEIGHT, y[which])
         return y
 
     def _stress_errors(self, material: Material) -> np.ndarray:
@@ -457,8 +458,8 @@ class _Search:
         """The best y without some runs, by the chord method from that of all."""
         others = [number for number in range(len(self.runs)) if number not in left_out]
         rows, sample = self.sums.rows(others), self.sums.sample
-        return search(lambda y: self._errors(y, others), Sample(sample.weights[rows], sample.kinds[rows]),
-                      self.constants, found.weight, found.y, found.jacobian[rows])
+        return search(lambda y: self._errors(y, others), lambda y: found.jacobian[rows],
+                      Sample(sample.weights[rows], sample.kinds[rows]), self.constants, found.weight, found.y)
 
     def _predictions(self, material: Material | None, numbers: Sequence[int]) -> list[Prediction]:
         """What the law gives along some of the runs, for scores."""

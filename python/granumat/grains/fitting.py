@@ -11,6 +11,7 @@ curvature, over PRIOR^2.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -18,7 +19,8 @@ PRIOR = 1.0                 # standard deviation of the start, in sizes
 FIRST_WEIGHT = 1e-3         # k as long as the noise is not known
 STEP = 1e-3                 # of differences, in sizes
 LEAST_NOISE = 1e-3          # of errors that the law follows as exactly as its path is computed
-TOLERANCE = 1e-5            # relative change of the sum or of y at which the search ends
+TOLERANCE = 1e-5            # relative change of the sum or of y at which a search ends,
+ROUGH = 1e-2                # or one that is for the noise only
 MOST_ROUNDS = 40            # iterations of a search
 CORRELATED = 0.95           # correlation coefficients from which two constants count as one for the data
 
@@ -39,6 +41,11 @@ class Constants:
     lower: np.ndarray
     upper: np.ndarray
     sizes: np.ndarray
+
+    @property
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Least and largest y (n,)."""
+        return (self.lower - self.start) / self.sizes, (self.upper - self.start) / self.sizes
 
     def values(self, y: np.ndarray) -> dict[str, float]:
         """Constants by name."""
@@ -105,10 +112,17 @@ class Fit:
 
 
 Errors = Callable[[np.ndarray], np.ndarray]       # errors r (m,) at y (n,)
+Slopes = Callable[[np.ndarray], np.ndarray]       # dr/dy (m, n) at y (n,)
+
+
+def remembered(function: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of y (n,) that is not called again where it was called last."""
+    latest = lru_cache(maxsize=1)(lambda y: function(np.array(y)))
+    return lambda y: latest(tuple(y))
 
 
 def fit(errors: Errors, sample: Sample, constants: Constants, y: np.ndarray) -> Fit:
-    """Find the constants at which the sum is least: first with a weak hold on the start, then with that which the noise asks for.
+    """Find the constants at which the sum is least: first roughly, with a weak hold on the start, then with the noise's.
 
     Parameters
     ----------
@@ -123,10 +137,12 @@ def fit(errors: Errors, sample: Sample, constants: Constants, y: np.ndarray) -> 
     -------
     Fit
     """
-    y = search(errors, sample, constants, FIRST_WEIGHT, y)
-    found = examine(errors, sample, constants, y, FIRST_WEIGHT)
-    y = search(errors, sample, constants, found.weight, y)
-    return examine(errors, sample, constants, y, found.weight)
+    errors = remembered(errors)
+    slopes = remembered(lambda y: differences(errors, y, constants))
+    y = search(errors, slopes, sample, constants, FIRST_WEIGHT, y, ROUGH)
+    weight = examine(errors(y), slopes(y), sample, constants, y).weight
+    y = search(errors, slopes, sample, constants, weight, y)
+    return examine(errors(y), (slopes(y) + differences(errors, y, constants, ahead=False)) / 2, sample, constants, y)
 
 
 def robust(squares: np.ndarray) -> np.ndarray:
@@ -135,12 +151,12 @@ def robust(squares: np.ndarray) -> np.ndarray:
     return np.array([2 * (root - 1), 1 / root, -0.5 / root**3])
 
 
-def search(errors: Errors, sample: Sample, constants: Constants, weight: float, y: np.ndarray,
-           jacobian: np.ndarray | None = None) -> np.ndarray:
-    """The y (n,) of the least sum, from another; with a given jacobian (m, n) by the chord method."""
+def search(errors: Errors, slopes: Slopes, sample: Sample, constants: Constants, weight: float, y: np.ndarray,
+           tolerance: float = TOLERANCE) -> np.ndarray:
+    """The y (n,) of the least sum, from another."""
     from scipy.optimize import least_squares
     n = len(constants.names)
-    lower, upper = ((bound - constants.start) / constants.sizes for bound in (constants.lower, constants.upper))
+    lower, upper = constants.bounds
 
     def of_data(z: np.ndarray) -> np.ndarray:
         """rho, rho', rho'' of the squares of all errors; the last n are y itself."""
@@ -149,24 +165,23 @@ def search(errors: Errors, sample: Sample, constants: Constants, weight: float, 
         return np.hstack([of_errors, weight * np.array([z[m:], np.ones(n), np.zeros(n)])])
     found = least_squares(
         lambda y: np.append(errors(y), y), np.clip(y, lower + STEP * 1e-3, upper - STEP * 1e-3),
-        lambda y: np.vstack([differences(errors, y, lower, upper) if jacobian is None else jacobian, np.eye(n)]), (lower, upper),
-        loss=of_data, ftol=TOLERANCE, xtol=TOLERANCE, gtol=None, max_nfev=MOST_ROUNDS)
+        lambda y: np.vstack([slopes(y), np.eye(n)]), (lower, upper),
+        loss=of_data, ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=MOST_ROUNDS)
     return found.x
 
 
-def differences(errors: Errors, y: np.ndarray, lower: np.ndarray, upper: np.ndarray, ahead: bool = True) -> np.ndarray:
+def differences(errors: Errors, y: np.ndarray, constants: Constants, ahead: bool = True) -> np.ndarray:
     """dr/dy (m, n), by differences ahead or behind that stay between the bounds."""
+    lower, upper = constants.bounds
     steps = np.where(y + STEP > upper, -STEP, STEP) if ahead else np.where(y - STEP < lower, STEP, -STEP)
     here = errors(y)
     return np.column_stack([(errors(y + step) - here) / step.sum() for step in np.diag(steps)])
 
 
-def examine(errors: Errors, sample: Sample, constants: Constants, y: np.ndarray, weight: float) -> Fit:
-    """What is known of constants at a least sum, which was found with the weight k."""
-    lower, upper = ((bound - constants.start) / constants.sizes for bound in (constants.lower, constants.upper))
+def examine(r: np.ndarray, jacobian: np.ndarray, sample: Sample, constants: Constants, y: np.ndarray) -> Fit:
+    """What is known of constants at a least sum, by the errors (m,) and their slopes (m, n) there."""
+    lower, upper = constants.bounds
     on_bounds = (y - lower < STEP) | (upper - y < STEP)
-    r = errors(y)
-    jacobian = (differences(errors, y, lower, upper) + differences(errors, y, lower, upper, ahead=False)) / 2
     n, free = len(y), ~on_bounds
     slopes = 1 / np.sqrt(1 + r**2)                               # rho'
     J = jacobian[:, free]
