@@ -1,10 +1,12 @@
 """What a Newton iteration of a finite-element problem costs.
 
 Printed and drawn are the shares of material, coupling, assembly and linear solution, the ratio to an iteration of linear elasticity
-in UFL, the ratio of two ranks to one, and the growth of time and memory with the number of unknowns. Every measurement is a process
-of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its peak, time the processor's.
+in UFL, the ratio of two ranks to one, and the growth of time and memory with the number of unknowns, without and with a length.
+Every measurement is a process of its own (`python3 -m granumat.studies.bench_fem N`, under mpirun for several ranks): memory is its
+peak, time the processor's.
 """
 
+import argparse
 import contextlib
 import json
 import os
@@ -35,7 +37,8 @@ from ..files import check_writable
 from ..material import Material
 
 CELLS = 27                             # a side: 19 683 hexahedra
-SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns
+SIZES = (11, 17, 27, 39)               # cells a side, 5 184 to 192 000 unknowns, a third more with a length
+LENGTH = 0.15                          # over the side
 SHEAR = 0.005                          # of an increment
 INCREMENTS = 2
 REPEATS = 5
@@ -97,8 +100,8 @@ def _phases(problem: Problem) -> Iterator[dict[str, float]]:
         setattr(owner, name, action)
 
 
-def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> dict[str, float]:
-    """What the shear cell of n**3 cells costs; the same on all ranks.
+def measure(n: int, length: float = 0.0, comm: MPI.Comm = MPI.COMM_WORLD) -> dict[str, float]:
+    """What the shear cell of n**3 cells costs, without a length or with one; the same on all ranks.
 
     Returns
     -------
@@ -106,10 +109,10 @@ def measure(n: int, comm: MPI.Comm = MPI.COMM_WORLD) -> dict[str, float]:
         unknowns; newton, the iterations of all INCREMENTS; krylov, the iterations of each of these; the processor's seconds of a
         Newton iteration, of each of PHASES and in all ("iteration"), on the slowest rank; bytes per unknown.
     """
-    problem = shear_cell(comm, 2)                                  # what is imported or compiled once does not count
+    problem = shear_cell(comm, 2, length=length)                                # what is imported or compiled once does not count
     problem.accept(problem.solve_increment(1.0))
     start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    problem = shear_cell(comm, n)
+    problem = shear_cell(comm, n, length=length)
     problem.accept(problem.solve_increment(1.0))
     problem.system.solver.setConvergenceHistory(reset=False)
     newton = 0
@@ -178,22 +181,26 @@ def print_fem(directory: str | Path, n: int = CELLS, sizes: Sequence[int] = SIZE
           f"increment, {one['krylov']} Krylov iterations each, {one['iteration']:.2f} s of one processor a Newton iteration:")
     for phase in PHASES:
         print(f"  {phase:9} {one[phase] / one['iteration']:6.1%}")
-    elasticity = {kind: _run([n, one["krylov"], kind]) for kind in ("aij", "baij")}
+    elasticity = {kind: _run([n, "--elasticity", one["krylov"], kind]) for kind in ("aij", "baij")}
     for kind, seconds in elasticity.items():
         print(f"  {one['iteration'] / seconds:.2f} x an iteration of linear elasticity in UFL into {kind.upper()}, as many Krylov "
               "iterations")
-    pairs = [(_run([n], ranks=2), _run([n])) for _ in range(PAIRS)]
-    ratios = {name: statistics.median(two[name] / one[name] for two, one in pairs) for name in ("iteration", *PHASES)}
-    busy = os.getloadavg()[0] / (os.cpu_count() or 1)
-    print(f"  2 ranks take {ratios.pop('iteration'):.2f} of the time of 1 (median of {PAIRS}; {busy:.1f} processes a processor "
-          "meanwhile): " + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
-    print(f"{'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12}")
+    for options, words in (((), ""), (("--length", LENGTH), "with a length ")):
+        pairs = [(_run([n, *options], ranks=2), _run([n, *options])) for _ in range(PAIRS)]
+        ratios = {name: statistics.median(two[name] / one[name] for two, one in pairs) for name in ("iteration", *PHASES)}
+        busy = os.getloadavg()[0] / (os.cpu_count() or 1)
+        print(f"  {words}2 ranks take {ratios.pop('iteration'):.2f} of the time of 1 (median of {PAIRS}; {busy:.1f} processes a "
+              f"processor meanwhile), and {pairs[0][0]['krylov']} Krylov iterations for {pairs[0][1]['krylov']}: "
+              + ", ".join(f"{name} {ratio:.2f}" for name, ratio in ratios.items()))
+    print(f"{'length':>8} {'unknowns':>10} {'Newton':>8} {'Krylov':>8} {'us/unknown':>12} {'kB/unknown':>12} {'over none':>10}")
     growth = []
     for size in sizes:
-        row = _run([size])
-        growth.append(row)
-        print(f"{row['unknowns']:>10} {row['newton'] / INCREMENTS:>8.1f} {row['krylov']:>8} "
-              f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f}", flush=True)
+        rows = [_run([size]), _run([size, "--length", LENGTH])]
+        growth.append(rows[0])
+        for length, row in zip((0, LENGTH), rows):
+            print(f"{length:>8} {row['unknowns']:>10} {row['newton'] / INCREMENTS:>8.1f} {row['krylov']:>8} "
+                  f"{row['iteration'] / row['unknowns'] * 1e6:>12.1f} {row['bytes'] / 1e3:>12.2f} "
+                  f"{row['iteration'] / rows[0]['iteration']:>10.2f}", flush=True)
     file = Path(directory) / "fem-cost.png"
     draw(one, elasticity, growth).savefig(file, dpi=110)
     print(f"wrote {file}")
@@ -225,7 +232,12 @@ def draw(one: dict[str, float], elasticity: dict[str, float], growth: list[dict[
 
 
 if __name__ == "__main__":
-    cells, *others = sys.argv[1:]
-    result = measure_elasticity(int(cells), int(others[0]), others[1]) if others else measure(int(cells))
+    parser = argparse.ArgumentParser(description="measures one shear cell, and prints what was found as JSON")
+    parser.add_argument("cells", type=int, help="a side")
+    parser.add_argument("--length", type=float, default=0.0, help="over the side")
+    parser.add_argument("--elasticity", nargs=2, metavar=("KRYLOV", "TYPE"), help="of linear elasticity in UFL instead")
+    asked = parser.parse_args()
+    result = (measure_elasticity(asked.cells, int(asked.elasticity[0]), asked.elasticity[1]) if asked.elasticity
+              else measure(asked.cells, asked.length))
     if MPI.COMM_WORLD.rank == 0:
         print(json.dumps(result))
