@@ -7,6 +7,7 @@ import threading
 import warnings
 import zlib
 from collections.abc import Mapping
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -98,7 +99,8 @@ class System:
         if "pc_type" not in options:
             first, *fallbacks = default_solvers(d, self.size, self._has_length)
             options = {**first, **options}
-        self._fallbacks = [make_solver(comm, fallback) for fallback in fallbacks]
+        # made when they are first needed: PETSc complains at the end of options that no solver has read
+        self._fallbacks = [cache(partial(make_solver, comm, fallback)) for fallback in fallbacks]
         self.matrix = PETSc.Mat().create(comm=comm)
         self.matrix.setSizes(((owned, self.size), (owned, self.size)))
         self.matrix.setBlockSize(block_size)
@@ -183,8 +185,11 @@ class System:
         """Whether the solver, or one that it falls back on, solves the assembled equations."""
         solved = self._solve(self.solver, right)
         self._warn_of_unused_options()
-        for fallback in self._fallbacks:
-            solved = solved or self._solve(fallback, right)
+        for make_fallback in self._fallbacks:
+            if solved:
+                break
+            fallback = make_fallback()
+            solved = self._solve(fallback, right)
             if self._has_length and fallback.getPC().getType() == "lu":            # rarely needed, and far larger than the matrix
                 fallback.reset()
         return solved
