@@ -2,6 +2,7 @@
 module granumat_bindings
   use, intrinsic :: iso_c_binding, only: c_char, c_double, c_int
   use granumat_batch, only: update_batch, update_batch_by_method
+  use granumat_convection, only: convection_ranges, convection_stage, swept_volumes, COLUMNS, RANGES_OF_CELL => RANGES
   use granumat_element, only: element_gradients, element_forces, element_stiffness, element_helmholtz, element_coupling
   use granumat_ellipticity, only: response, transverse_modulus, response_of, least_over_normals, EIGENVALUE, DETERMINANT
   use granumat_parameters, only: material_parameters, parameters_from_friction, derive_constants, faulty_constants, &
@@ -288,5 +289,31 @@ contains
     call element_coupling(shape_gradients, vertex_values, x_new, volume, old_volume, L, by_nonlocal, matrix, scale, &
       mean_dilatation /= 0, K)
   end subroutine granumat_element_coupling
+
+  subroutine granumat_convection_ranges(d, nodes, cells, all_cells, x, neighbour, values, range) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, cells, all_cells
+    real(c_double), intent(in) :: x(d, nodes, cells), values(COLUMNS, nodes, all_cells)
+    integer(c_int), intent(in) :: neighbour(2 * d, cells)
+    real(c_double), intent(out) :: range(RANGES_OF_CELL, cells)
+    call convection_ranges(x, neighbour, values, range)
+  end subroutine granumat_convection_ranges
+
+  subroutine granumat_convection_stage(d, nodes, cells, all_cells, share, fabric_limit, x_start, x_end, neighbour, opposite, wall, &
+      range, start, stage, out) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, cells, all_cells
+    real(c_double), value, intent(in) :: share, fabric_limit
+    real(c_double), intent(in) :: x_start(d, nodes, cells), x_end(d, nodes, cells), range(RANGES_OF_CELL, cells)
+    integer(c_int), intent(in) :: neighbour(2 * d, cells), opposite(2, nodes, 2 * d, cells), wall(2 * d, cells)
+    real(c_double), intent(in) :: start(COLUMNS, nodes, all_cells), stage(COLUMNS, nodes, all_cells)
+    real(c_double), intent(out) :: out(COLUMNS, nodes, cells)
+    call convection_stage(x_start, x_end, share, neighbour, opposite, wall, range, fabric_limit, start, stage, out)
+  end subroutine granumat_convection_stage
+
+  subroutine granumat_swept_volumes(d, nodes, cells, x_start, x_end, swept) bind(c)
+    integer(c_int), value, intent(in) :: d, nodes, cells
+    real(c_double), intent(in) :: x_start(d, nodes, cells), x_end(d, nodes, cells)
+    real(c_double), intent(out) :: swept(cells)
+    call swept_volumes(x_start, x_end, swept)
+  end subroutine granumat_swept_volumes
 
 end module granumat_bindings

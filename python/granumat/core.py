@@ -18,6 +18,7 @@ elastic strain. Six components are xx yy zz xy xz yz."""
 
 N_CONSTANTS = 20                                      # as in granumat_parameters
 STATE_NUMBERS = STATE.itemsize // 8
+CONVECTED_NUMBERS = 24                                # of a point: a state's and four more, COLUMNS of granumat_convection
 ARITHMETIC_A_ROUND = 192                              # 2 * 12 * LANES, see granumat_arithmetic
 Scheme = tuple[int, int, float]
 """How to integrate increments: numbers of method and spin as in granumat_methods, tolerance of the embedded pair."""
@@ -29,6 +30,9 @@ element_forces = _core.granumat_element_forces
 element_stiffness = _core.granumat_element_stiffness
 element_helmholtz = _core.granumat_element_helmholtz
 element_coupling = _core.granumat_element_coupling
+convection_ranges = _core.granumat_convection_ranges
+convection_stage = _core.granumat_convection_stage
+swept_volumes = _core.granumat_swept_volumes
 
 
 def constant_ranges() -> dict[str, tuple[float, float, bool]]:

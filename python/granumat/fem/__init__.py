@@ -11,7 +11,7 @@ except ImportError as error:
 
 from . import meshes
 from .checkpoint import Checkpoint, resume
-from .conditions import Displacement, NonlocalStrain, Periodic, Pressure, Tied, Traction, polar, rotation
+from .conditions import Displacement, Inflow, NonlocalStrain, Outflow, Periodic, Pressure, Tied, Traction, polar, rotation
 from .control import run
 from .errors import SolveError
 from .fields import Fields, cell_fields
@@ -21,6 +21,6 @@ from .quantities import Quantities
 from .symmetry import Symmetry
 from .tables import Probe, Reactions
 
-__all__ = ["Checkpoint", "Displacement", "Fields", "NonlocalStrain", "Periodic", "Pictures", "Pressure", "Probe", "Problem",
-           "Quantities", "Reactions", "SolveError", "Symmetry", "Tied", "Tolerances", "Traction", "cell_fields", "field_figure",
-           "meshes", "polar", "resume", "rotation", "run"]
+__all__ = ["Checkpoint", "Displacement", "Fields", "Inflow", "NonlocalStrain", "Outflow", "Periodic", "Pictures", "Pressure",
+           "Probe", "Problem", "Quantities", "Reactions", "SolveError", "Symmetry", "Tied", "Tolerances", "Traction",
+           "cell_fields", "field_figure", "meshes", "polar", "resume", "rotation", "run"]

@@ -7,12 +7,15 @@ import dolfinx.mesh
 import numpy as np
 from dolfinx import fem
 from mpi4py import MPI
+from scipy.spatial import cKDTree
 
 from .. import core
 from ._compat import FacetTable, FacetTags, ReferenceCell, cell_nodes, vector_space
 from .conditions import Where
 
 WHERE_WORDS = "it must be a function of positions x (3, n), x[0] all x coordinates, that returns n truth values, or facet tags"
+ABSENT = -2                         # stands where no rank has a node
+SAME_PLACE = 1e-8                   # over the body's size: a node as close as that to a position is there
 ELEMENT_FAILURES = ("", "the mesh is inverted", "the increment rotates or strains a cell too much")     # by the core's status
 
 
@@ -47,6 +50,8 @@ class Body:
     cell_nodes_with_ghosts : int array
         The same, followed by those of the ghost cells.
     owned_nodes : int
+    global_numbers : int array (nodes)
+        Numbers of the nodes among those of all ranks.
     positions : array (nodes, d)
         At the start.
     size : float
@@ -63,6 +68,8 @@ class Body:
         self.cell_nodes_with_ghosts = cell_nodes(self.space)
         self.cell_nodes = self.cell_nodes_with_ghosts[:self.cells]
         self.owned_nodes = self.space.dofmap.index_map.size_local
+        nodes = np.arange(self.owned_nodes + self.space.dofmap.index_map.num_ghosts, dtype=np.int32)
+        self.global_numbers = np.asarray(self.space.dofmap.index_map.local_to_global(nodes), np.int64)
         self.positions = np.ascontiguousarray(self.space.tabulate_dof_coordinates()[:, :self.d])
         self.size = self.largest(self.positions)
 
@@ -75,6 +82,22 @@ class Body:
     def nodes_at(self, where: Where) -> np.ndarray:
         """Local numbers of this rank's nodes, ghosts included, on a part of the boundary; collective."""
         return np.asarray(fem.locate_dofs_topological(self.space, self.d - 1, self._facets_at(where)), np.int32)
+
+    def owned_values_at(self, positions: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Of integers (nodes, ...) of the nodes those (n, ...) at positions (n, d) at the start, whichever rank owns these nodes.
+
+        ABSENT where there is no node; collective.
+        """
+        by_rank = self.comm.allgather(positions)
+        everywhere = np.concatenate(by_rank)
+        found = np.full((len(everywhere), *values.shape[1:]), ABSENT, np.int64)
+        if self.owned_nodes and len(everywhere):
+            distance, nearest = cKDTree(self.positions[:self.owned_nodes]).query(everywhere)
+            there = distance < SAME_PLACE * self.size
+            found[there] = values[nearest[there]]
+        self.comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
+        start = sum(len(part) for part in by_rank[:self.comm.rank])
+        return found[start:start + len(positions)]
 
     def cell_facets_at(self, where: Where) -> np.ndarray:
         """Pairs (n, 2), int32, of an owned cell and its local facet on a part of the boundary."""

@@ -22,7 +22,8 @@ class Displacement:
     where : function or tags
     value : number, sequence, or function of (x (n, d), t), optional
         Total displacement since the start, all of its components along x y (z), also where there are local axes. A function
-        returns (n, d) or what broadcasts to it; see rotation.
+        returns (n, d) or what broadcasts to it; see rotation. Where the mesh does not follow the material, x is where the mesh is
+        now, and what the value grows by in an increment is the motion of the material that is there.
     components : sequence of int, optional
         Which components are prescribed, counted from 0, along the local axes if there are some; all if not given.
     axes : function of x (n, d), optional
@@ -119,6 +120,33 @@ class NonlocalStrain:
     value: float | Callable[[float], float]
 
 
+@dataclass(frozen=True)
+class Inflow:
+    """Material enters here, in a given state, where the mesh does not follow it; how it moves another condition says.
+
+    Attributes
+    ----------
+    where : function or tags
+    state : record of dtype STATE, or function of x (n, d)
+        A function returns records (n).
+    """
+
+    where: Where
+    state: np.void | Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Outflow:
+    """Material leaves here, where the mesh does not follow it; how it moves, or what forces it bears, another condition says.
+
+    Attributes
+    ----------
+    where : function or tags
+    """
+
+    where: Where
+
+
 def polar(center: Sequence[float] = (0.0, 0.0)) -> Axes:
     """Local axes for Displacement, Tied and Periodic: radial, circumferential (, z) about a center in the plane x y."""
     def axes(x: np.ndarray) -> np.ndarray:
@@ -133,13 +161,29 @@ def polar(center: Sequence[float] = (0.0, 0.0)) -> Axes:
     return axes
 
 
-def rotation(angle: Callable[[float], float], center: Sequence[float] = (0.0, 0.0)) -> Callable[[np.ndarray, float], np.ndarray]:
-    """Value for Displacement: a rigid rotation in the plane x y by angle(t), in radians, about a center."""
-    def value(x: np.ndarray, t: float) -> np.ndarray:
-        away = x[:, :2] - np.asarray(center, float)
-        cosine, sine = np.cos(angle(t)), np.sin(angle(t))
+@dataclass(frozen=True)
+class Rotation:
+    """Value for Displacement: what `rotation` returns."""
+
+    angle: Callable[[float], float]
+    center: Sequence[float]
+
+    def __call__(self, x: np.ndarray, t: float) -> np.ndarray:
+        return self._by(self.angle(t), x)
+
+    def motion(self, x: np.ndarray, start: float, t: float) -> np.ndarray:
+        """Displacement from `start` to t of what is at x then."""
+        return self._by(self.angle(t) - self.angle(start), x)
+
+    def _by(self, angle: float, x: np.ndarray) -> np.ndarray:
+        away = x[:, :2] - np.asarray(self.center, float)
+        cosine, sine = np.cos(angle), np.sin(angle)
         displacement = np.zeros_like(x)
         displacement[:, 0] = (cosine - 1) * away[:, 0] - sine * away[:, 1]
         displacement[:, 1] = sine * away[:, 0] + (cosine - 1) * away[:, 1]
         return displacement
-    return value
+
+
+def rotation(angle: Callable[[float], float], center: Sequence[float] = (0.0, 0.0)) -> Rotation:
+    """Value for Displacement: a rigid rotation in the plane x y by angle(t), in radians, about a center."""
+    return Rotation(angle, center)

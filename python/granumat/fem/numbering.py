@@ -6,21 +6,18 @@ from typing import Any
 
 import numpy as np
 from mpi4py import MPI
-from scipy.spatial import cKDTree
 
 from ..checks import attempt, real_array, refuse
-from .body import Body
+from .body import ABSENT, Body
 from .cellwise import together
 from .conditions import Displacement, NonlocalStrain, Periodic, Tied
 from .errors import format_position
 
 PRESCRIBED = -1                     # the label of a component whose value is prescribed
-ABSENT = -2                         # the label that stands where no rank has the partner of a periodic node
 MOTIONS = {2: ("translation along x", "translation along y", "rotation"),
            3: (*(f"translation along {axis}" for axis in "xyz"), *(f"rotation about {axis}" for axis in "xyz"))}
 FREE = 1e-12                        # over the largest: what hinders a motion less than this is round-off
 SHARE = 0.3                         # of a motion in a free combination of motions that makes it worth naming; one has 1/sqrt(6)
-PARTNER_DISTANCE = 1e-8             # largest distance to a periodic partner, over the body's size
 ORTHONORMALITY = 1e-9               # largest error of local axes, and difference of axes that must be the same
 
 
@@ -57,13 +54,13 @@ class Numbering:
     def __init__(self, body: Body, conditions: Sequence[object], has_length: bool = False) -> None:
         count, unknowns = len(body.positions), body.d + has_length
         self._body, self._comm = body, body.comm
-        numbers = np.asarray(body.space.dofmap.index_map.local_to_global(np.arange(count, dtype=np.int32)), np.int64)
-        self.labels = numbers[:, None] * unknowns + np.arange(unknowns)
+        self.labels = body.global_numbers[:, None] * unknowns + np.arange(unknowns)
         self._own_labels = self.labels.copy()
         self.axes = np.tile(np.eye(unknowns), (count, 1, 1))
         self._has_own_axes = np.zeros(count, bool)
         self._values: list[tuple[np.ndarray, list[int], Displacement]] = []    # with their nodes and components
         self._nonlocal_values: list[tuple[np.ndarray, NonlocalStrain]] = []
+        self._placed_axes: list[tuple[np.ndarray, Callable]] = []              # of places, which a moving mesh has elsewhere
         faults: list[str] = []
 
         placed = [(condition, self._place(condition, f"condition {number} ({type(condition).__name__})", faults))
@@ -96,6 +93,8 @@ class Numbering:
             faults.append(f"{name}: there is no node where it should hold")
         if getattr(condition, "axes", None) is not None:
             self._set_axes(nodes, condition.axes, name, faults)
+            if not isinstance(condition, Periodic):              # whose axes are those of one side in the other's
+                self._placed_axes.append((nodes, condition.axes))
         return nodes
 
     def _set_axes(self, nodes: np.ndarray, axes: Callable, name: str, faults: list[str]) -> None:
@@ -133,17 +132,7 @@ class Numbering:
 
     def _label_periodic(self, nodes: np.ndarray, partners: np.ndarray, faults: list[str]) -> None:
         """Gives nodes the labels of the nodes at the partners' positions (n, d), whichever rank owns these."""
-        partners_by_rank = self._comm.allgather(partners)
-        all_partners = np.concatenate(partners_by_rank)
-        found = np.full((len(all_partners), self.labels.shape[1]), ABSENT, np.int64)
-        owned = self._body.owned_nodes
-        if owned and len(all_partners):
-            distance, nearest = cKDTree(self._body.positions[:owned]).query(all_partners)
-            there = distance < PARTNER_DISTANCE * self._body.size
-            found[there] = self.labels[nearest[there]]
-        self._comm.Allreduce(MPI.IN_PLACE, found, MPI.MAX)
-        start = sum(len(part) for part in partners_by_rank[:self._comm.rank])
-        labels = found[start:start + len(nodes)]
+        labels = self._body.owned_values_at(partners, self.labels)
         absent = (labels == ABSENT).any(axis=1)
         if absent.any():
             faults.append(f"Periodic: there is no node at {format_position(partners[absent][0])}, a partner's position")
@@ -170,6 +159,43 @@ class Numbering:
                 values[nodes, -1] = duration * _rate(condition.value, t)
             return values
         return together(self._comm, values)
+
+    def prescribed_motion(self, start: float, t: float, x: np.ndarray) -> np.ndarray:
+        """Prescribed motions (nodes, unknowns) along the nodes' axes, between two pseudo-times, of the material at x (nodes, d).
+
+        It is what a value grows by at this place; a value that has a method `motion` of (x, start, t) says it itself.
+
+        Raises
+        ------
+        ValueError
+            As `prescribed`.
+        """
+        def values() -> np.ndarray:
+            values, d = np.zeros(self.labels.shape), self._body.d
+            for nodes, components, displacement in self._values:
+                value = displacement.value
+                if hasattr(value, "motion"):
+                    vectors = _vectors(value.motion(x[nodes], start, t), x[nodes], t)
+                else:
+                    vectors = _vectors(value, x[nodes], t) - (_vectors(value, x[nodes], start) if start > 0 else 0)
+                values[nodes[:, None], components] = np.einsum("nij,ni->nj", self.axes[nodes, :d, :d], vectors)[:, components]
+            for nodes, condition in self._nonlocal_values:
+                values[nodes, -1] = (t - start) * _rate(condition.value, t)
+            return values
+        return together(self._comm, values)
+
+    @property
+    def has_placed_axes(self) -> np.ndarray:
+        """Which nodes (nodes) have axes of the place where they are, bool."""
+        has = np.zeros(len(self.axes), bool)
+        for nodes, _ in self._placed_axes:
+            has[nodes] = True
+        return has
+
+    def move_axes(self, x: np.ndarray) -> None:
+        """Gives nodes that are at x (nodes, d) now the axes of that place."""
+        for nodes, axes in self._placed_axes:
+            self.axes[nodes, :self._body.d, :self._body.d] = axes(x[nodes])
 
     def free_motions(self) -> list[str]:
         """Rigid motions, in words, that neither prescribed displacements, ties nor periodic sides hinder; collective."""
