@@ -40,5 +40,6 @@ def in_words(found: dict[str, Any]) -> str:
     quantities = f"; quantities: {', '.join(found['quantities'])}" if found["quantities"] else ""
     if found["kind"] == "path":
         return f"a path, steps: {len(found['steps'])}, increments: {found['increments']}{quantities}"
-    return (f"a scene, cells: {found['cells']}, unknowns: {found['unknowns']}, to t = {found['until']:g}, first increment: "
+    end = found["until"] if isinstance(found["until"], str) else f"t = {found['until']:g}"
+    return (f"a scene, cells: {found['cells']}, unknowns: {found['unknowns']}, to {end}, first increment: "
             f"{found['increment']:g}{quantities}")

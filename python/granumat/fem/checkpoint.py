@@ -98,7 +98,7 @@ def _save(stream: BinaryIO, arrays: dict[str, np.ndarray]) -> None:
 
 def _numbers(problem: Problem, last: Trial) -> dict[str, float | None]:
     return {"t": problem.t, "increments": problem.increments, "next_increment": problem.next_increment,
-            "last_duration": last.duration}
+            "last_duration": last.duration, "is_ahead": problem.is_ahead}
 
 
 def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
@@ -114,7 +114,8 @@ def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
 def _fingerprint(problem: Problem, t: float) -> dict[str, Any]:
     """What must be the same in the problem that is resumed at pseudo-time t; the same on all ranks."""
     material = {f"material's {name}": value for name, value in problem.material.definition.items()}
-    return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "length": problem.length, "dimension": problem.d,
+    return {**material, "degree": problem.degree, "rate_term": problem.rate_term, "length": problem.length,
+            "motion": _comparable(problem.motion, t), "dimension": problem.d,
             "shape of the cells": problem.mesh.topology.cell_type.name, "number of cells": problem.comm.allreduce(problem.cells),
             "gravity": _comparable(problem.gravity, t), "initial state": _comparable(problem.initial, t),
             **{f"condition {number} ({type(condition).__name__}), {name}": _comparable(_load(condition, value, t), t)
@@ -248,4 +249,4 @@ def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[s
                  at_own_cells("stress"), at_own_cells("forces"), residual=description["residual"],
                  residuals=tuple(description["residuals"]))
     return Snapshot(numbers["t"], numbers["increments"], numbers["next_increment"], at_nodes("displacement"), states,
-                    at_points("shear_strain"), at_points("volume_strain"), last)
+                    at_points("shear_strain"), at_points("volume_strain"), last, numbers["is_ahead"])

@@ -23,13 +23,15 @@ FIELDS = {
     "shear_strain": "accumulated shear strain", "volume_strain": "volume strain (extension positive)",
     "dilatancy": "dilatancy tr $D/|S|$", "eta_t": "transverse modulus $\\eta_t$",
     "nonlocal_strain": "nonlocal strain $m$", "R": "local over nonlocal strain $R = |D|/m$",
+    "unjammed": "unjammed part of the volume",
     "stress": "stress $\\sigma\\,d/k$", "strain": "logarithmic strain $e$", "fabric": "fabric $A$",
 }
 TENSORS = {"stress": "sigma", "strain": "e", "fabric": "A"}         # names of the components' columns in histories begin so
 COMPONENTS = {f"{symbol}_{axis}": (name, i) for name, symbol in TENSORS.items() for i, axis in enumerate(tensors.AXES)}
 SCALAR_FIELDS = [*(name for name in FIELDS if name not in ("A_direction", *TENSORS)), *COMPONENTS]
 OF_LENGTH = ("nonlocal_strain", "R")
-RECORDED = tuple(name for name in FIELDS if name not in ("q", *TENSORS, *OF_LENGTH))          # if nothing else is asked for
+# If nothing else is asked for:
+RECORDED = tuple(name for name in FIELDS if name not in ("q", "unjammed", *TENSORS, *OF_LENGTH))
 XDMF_ORDER = [0, 3, 4, 1, 5, 2]     # xx xy xz yy yz zz
 ROUND_OFF = 1e-9                    # a component of a unit vector below, or a shear over a volume strain, counts as 0
 
@@ -51,14 +53,15 @@ def field_label(name: str) -> str:
     return f"{words}${letter}_{{{tensors.AXES[i]}}}{unit and chr(92) + ',' + unit}$"
 
 
-def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[str, np.ndarray]:
+def cell_fields(problem: Problem, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
     """The means over this rank's own cells, weighted by volume.
 
     Parameters
     ----------
     problem : Problem
-    names : sequence of str
-        From FIELDS, COMPONENTS ("sigma_xx" ... "sigma_yz", "e_xx" ..., "A_xx" ...) and history.WORDS; all FIELDS if not given.
+    names : sequence of str, optional
+        From FIELDS, COMPONENTS ("sigma_xx" ... "sigma_yz", "e_xx" ..., "A_xx" ...) and history.WORDS; all FIELDS that there are if
+        not given.
 
     Returns
     -------
@@ -68,6 +71,8 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
         of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of which the first component that is not
         0 is positive; it is 0 where there is no fabric. dilatancy is that of the last increment, 0 where it had no shear.
         nonlocal_strain is m of the last increment, abs(D) without a length, and R the mean abs(D) over it, 1 where it is 0.
+        unjammed is the part of the cell's volume where p = 0. Where the mesh does not follow the material, there is no strain
+        since the start.
 
     Raises
     ------
@@ -75,7 +80,12 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
         Names every field that does not exist.
     """
     faults: list[str] = []
+    if names is None:
+        names = [name for name in FIELDS if name != "strain" or problem.moving_mesh is None]
     check_fields(names, (*FIELDS, *COMPONENTS), faults)
+    if problem.moving_mesh is not None:
+        faults += [f"{name}: the strain since the start is not known where the mesh does not follow the material"
+                   for name in names if name == "strain" or COMPONENTS.get(column_name(name), ("",))[0] == "strain"]
     refuse("the fields cannot be given", faults)
     states, volumes = problem.states, problem.point_volumes().reshape(problem.cells, -1)
     weights = volumes / volumes.sum(axis=1, keepdims=True)
@@ -100,7 +110,7 @@ def cell_fields(problem: Problem, names: Sequence[str] = tuple(FIELDS)) -> dict[
               "phi": mean(states["volume_fraction"]), "A": tensors.magnitude(fabric), "A_direction": direction,
               "shear_strain": mean(problem.shear_strain), "volume_strain": mean(problem.volume_strain), "dilatancy": dilatancy,
               "nonlocal_strain": m, "R": R, "eta_t": mean(problem.material.transverse_modulus(states)),
-              "stress": -stress, "fabric": fabric}
+              "unjammed": mean((tensors.trace(states["stress"]) >= 0).astype(float)), "stress": -stress, "fabric": fabric}
     wanted = [column_name(name) for name in names]
     if any(name == "strain" or COMPONENTS.get(name, ("",))[0] == "strain" for name in wanted):
         fields["strain"] = mean(point_strains(problem))
@@ -150,8 +160,8 @@ class Fields(Output):
     times : sequence of float, optional
         Pseudo-times at which there are records too; make them `events` of the run.
     fields : sequence of str, optional
-        As in cell_fields; RECORDED if not given, and OF_LENGTH where the problem has a length. Tensors have XDMF's order of
-        components, xx xy xz yy yz zz.
+        As in cell_fields; RECORDED if not given, and OF_LENGTH where the problem has a length. Where the mesh does not follow the
+        material, unjammed too. Tensors have XDMF's order of components, xx xy xz yy yz zz.
 
     Raises
     ------
@@ -193,6 +203,8 @@ class Fields(Output):
         names = self.fields
         if names is None:
             names = RECORDED if problem.nonlocal_field is None else RECORDED + OF_LENGTH
+        if problem.moving_mesh is not None and "unjammed" not in names:
+            names = (*names, "unjammed")
         fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem, names).items()}
         on_rank_0(problem.comm, lambda: self._append(problem.t, mesh, displacement, fields))
 

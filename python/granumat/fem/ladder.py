@@ -105,7 +105,8 @@ class SceneRunner:
 def _failure(scene: Scene, problem: Problem, observers: list[Any]) -> str:
     """Runs a problem to its end; why it did not come to it, empty if it did."""
     try:
-        run(problem, scene.run.until, scene.run.increment, smallest=scene.run.smallest, events=scene.events, observers=observers)
+        run(problem, scene.run.end, scene.run.increment, smallest=scene.run.smallest, events=scene.events, observers=observers,
+            unjammed=scene.run.unjammed)
     except InterruptedRunError:
         raise
     except GranumatError as error:

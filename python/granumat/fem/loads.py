@@ -26,11 +26,8 @@ class Loads:
 
     def __init__(self, body: Body, conditions: Sequence[object], gravity: Sequence[float] | None,
                  solid_volumes: np.ndarray) -> None:
-        self._body = body
-        self._weight = np.zeros((body.cells, body.cell_nodes.shape[1], body.d))
-        if gravity is not None:
-            self._weight += np.einsum("cq,qa,i->cai", solid_volumes.reshape(body.cells, -1), body.element.values,
-                                      np.asarray(gravity, float))
+        self._body, self._gravity = body, gravity
+        self.weigh(solid_volumes)
         self._tractions = [(self._nodal_areas(condition), condition.value) for condition in conditions
                            if isinstance(condition, Traction)]
         self._pressures = [(condition, body.cell_facets_at(condition.where)) for condition in conditions
@@ -44,6 +41,13 @@ class Loads:
             area = np.linalg.norm(_normals(np.einsum("psa,cai->cpsi", derivatives, x[cells])), axis=-1)
             areas[cells] += np.einsum("cp,p,pa->ca", area, weights, values)
         return areas
+
+    def weigh(self, solid_volumes: np.ndarray) -> None:
+        """Takes another volume of the solid (points) for the weight."""
+        self._weight = np.zeros((self._body.cells, self._body.cell_nodes.shape[1], self._body.d))
+        if self._gravity is not None:
+            self._weight += np.einsum("cq,qa,i->cai", solid_volumes.reshape(self._body.cells, -1), self._body.element.values,
+                                      np.asarray(self._gravity, float))
 
     def dead(self, t: float) -> np.ndarray:
         """Nodal forces (cells, nodes per cell, d) of gravity and tractions at pseudo-time t."""

@@ -16,9 +16,13 @@ from .problem import Problem
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+UNJAMMED_GREY = "0.75"
+
 
 class Pictures(Output):
     """A field on the deformed mesh (in three dimensions on its surface) as PNG, one a record, FIELD-INCREMENT.png.
+
+    Where the mesh does not follow the material, cells that are unjammed (p = 0) are grey: what they have is no result.
 
     Parameters
     ----------
@@ -47,20 +51,23 @@ class Pictures(Output):
             self._mesh = VertexMesh(problem.body)
         mesh = self._mesh
         positions = mesh.gather(problem.positions + problem.displacement)
-        values = mesh.order.gather(cell_fields(problem, [self.field])[self.field])
+        fields = cell_fields(problem, [self.field, "unjammed"])
+        values = mesh.order.gather(fields[self.field])
+        unjammed = mesh.order.gather(fields["unjammed"] > 0.5) if problem.moving_mesh is not None else None
 
         def draw() -> None:
             polygons, cells = mesh.polygons()
             hertzian = problem.material.contact == "hertzian"
             label = field_label(self.field).replace("\\,d/k", "/k_{Hz}" if hertzian else "\\,d/k")
-            figure = field_figure(positions[polygons], values[cells], label, f"t = {problem.t:.6g}")
+            shown = values if unjammed is None else np.ma.masked_array(values, unjammed)
+            figure = field_figure(positions[polygons], shown[cells], label, f"t = {problem.t:.6g}")
             with replacing(f"{self.path}-{problem.increments:06d}.png") as partial:
                 figure.savefig(partial, dpi=130, format="png")
         on_rank_0(problem.comm, draw)
 
 
 def field_figure(polygons: np.ndarray, values: np.ndarray, label: str, title: str = "") -> "Figure":
-    """Polygons (n, corners, d) in the colours of their values (n), with a colour bar.
+    """Polygons (n, corners, d) in the colours of their values (n), with a colour bar; grey where they are masked.
 
     Returns
     -------
@@ -75,6 +82,7 @@ def field_figure(polygons: np.ndarray, values: np.ndarray, label: str, title: st
     axes = figure.add_subplot(projection="3d" if in_space else None)
     collection = (Poly3DCollection if in_space else PolyCollection)(polygons, cmap="viridis", linewidths=0, antialiaseds=False)
     collection.set_array(values)
+    collection.set_cmap(collection.get_cmap().with_extremes(bad=UNJAMMED_GREY))
     if in_space:
         axes.add_collection3d(collection)
         axes.set_box_aspect(high - low)

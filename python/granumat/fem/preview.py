@@ -13,5 +13,5 @@ def preview(file: str | Path, comm: MPI.Comm = MPI.COMM_WORLD) -> dict[str, Any]
     """As granumat.preview.preview, of a scene; collective."""
     scene = read_scene(file)
     problem, _ = problem_of(scene, comm)
-    return {"kind": "scene", "cells": comm.allreduce(problem.cells), "unknowns": problem.system.size, "until": scene.run.until,
+    return {"kind": "scene", "cells": comm.allreduce(problem.cells), "unknowns": problem.system.size, "until": scene.run.end,
             "increment": scene.run.increment(0.0), "quantities": [quantity.name for quantity in scene.quantities]}

@@ -11,16 +11,17 @@ import numpy as np
 from mpi4py import MPI
 
 from .. import tensors
-from ..checks import check_type, is_number, real_array, refuse
-from ..core import STATE, status_message
+from ..checks import attempt, check_type, is_number, real_array, refuse
+from ..core import STATE, STATE_NUMBERS, numbers, status_message
 from ..errors import MaterialError
 from ..material import Material
 from ._compat import FacetTags
 from .body import ELEMENT_FAILURES, Body
 from .cellwise import together
-from .conditions import Displacement, NonlocalStrain, Periodic, Pressure, Tied, Traction, Where
+from .conditions import Displacement, Inflow, NonlocalStrain, Outflow, Periodic, Pressure, Tied, Traction, Where
 from .errors import format_position
 from .loads import Loads
+from .motion import Motion, MovingMesh, motion_faults
 from .nonlocal_field import NonlocalField
 from .numbering import Numbering
 from .system import System
@@ -31,7 +32,7 @@ SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step 
 PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
 DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
 STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
-KINDS = (Displacement, Tied, Periodic, Pressure, Traction, NonlocalStrain)
+KINDS = (Displacement, Tied, Periodic, Pressure, Traction, NonlocalStrain, Inflow, Outflow)
 STOPPED = "it was given up"
 NONLOCAL_ROUND_OFF = 1e-12          # of m, a strain
 UNJAMMED_STIFFNESS = 1e-6           # in k/d: where -tr(stress) is less, it is added to the tangent alone, against singular matrices
@@ -61,8 +62,10 @@ class Tolerances:
 class Problem:
     """A body on a mesh, of one material, under conditions.
 
-    Plane strain on meshes of the plane, three dimensions on others. Updated Lagrangian: the nodes move with the material, so that
-    the state of a point needs no convection. Elements of degree 1 take the volume change as the mean of the cell (B-bar).
+    Plane strain on meshes of the plane, three dimensions on others. Updated Lagrangian: within an increment the nodes move with the
+    material. With motion = "lagrangian" they stay with it, so that the state of a point needs no convection; else they go their own
+    way after each accepted increment, and the state is convected to where the points are then. Elements of degree 1 take the volume
+    change as the mean of the cell (B-bar).
 
     Parameters
     ----------
@@ -70,7 +73,7 @@ class Problem:
     material : granumat.Material
     state : record of dtype STATE, or function of x (points, d)
         Initial state; a function returns records (points).
-    conditions : sequence of Displacement, Tied, Periodic, Pressure, Traction, NonlocalStrain
+    conditions : sequence of Displacement, Tied, Periodic, Pressure, Traction, NonlocalStrain, Inflow, Outflow
     degree : 1 or 2
     gravity : sequence (d), optional
         Weight of the solid per volume of the solid, in units of stress per length.
@@ -81,6 +84,11 @@ class Problem:
         l, in the units of the mesh: the nonlocal strain m, with m - l^2 div grad m = abs(D), is solved for beside the
         displacements, and takes the place of abs(D) in the material's update. Bodies then shear in zones some l wide, whatever the
         cells. 0: no length.
+    motion : "lagrangian", "fixed", "boundary", or function, optional
+        How the mesh moves: with the material; not at all; with the normal motion of the material on its boundary, the inside by
+        Laplace's equation; or as a function says, of the nodes' positions (nodes, d), of where the material has taken them
+        (nodes, d), and of the pseudo-time, which returns where they go. All but the first need quadrilaterals or hexahedra of
+        degree 1.
     facet_tags : dolfinx.mesh.MeshTags, optional
         What numbers in the conditions' `where` mean.
     tolerances : Tolerances, optional
@@ -94,7 +102,12 @@ class Problem:
     positions : array (nodes, d)
         Of this rank's nodes (ghosts last) at the start.
     displacement : array (nodes, d)
-        Since the start.
+        Of the mesh since the start.
+    moving_mesh : MovingMesh or None
+        How the mesh goes its own way; None where it stays with the material.
+    is_ahead : bool
+        Whether the material has taken the mesh with it in the last increment, and the mesh has still to go its own way, as it does
+        when the next increment begins.
     states : record array (points) of dtype STATE
         Of this rank's own cells, cell by cell.
     shear_strain, volume_strain : array (points)
@@ -127,16 +140,16 @@ class Problem:
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, material: Material, state: np.void | Callable, conditions: Sequence[object] = (), *,
                  degree: int = 1, gravity: Sequence[float] | None = None, rate_term: float = 0.0, length: float = 0.0,
-                 facet_tags: FacetTags | None = None, tolerances: Tolerances = Tolerances(),
+                 motion: Motion = "lagrangian", facet_tags: FacetTags | None = None, tolerances: Tolerances = Tolerances(),
                  solver: dict[str, object] | None = None) -> None:
         check_type("mesh", mesh, dolfinx.mesh.Mesh, "a dolfinx.mesh.Mesh")
         check_type("material", material, Material, "a Material")
         check_type("tolerances", tolerances, Tolerances, "a Tolerances")
         check_type("solver", solver, (dict, NoneType), "a dict of PETSc options")
-        refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term, length))
+        refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term, length, motion))
         self.material, self.degree, self.conditions = material, degree, tuple(conditions)
         self.rate_term, self.gravity, self.initial, self.tolerances = rate_term, gravity, state, tolerances
-        self.length = length
+        self.length, self.motion = length, motion
         self.body = Body(mesh, degree, facet_tags)
         self.mesh, self.space, self.comm, self.d = mesh, self.body.space, self.body.comm, self.body.d
         self.cells, self.positions = self.body.cells, self.body.positions
@@ -149,6 +162,9 @@ class Problem:
         if fault:
             warnings.warn(fault, stacklevel=2)
 
+        self.moving_mesh = None if motion == "lagrangian" else MovingMesh(motion, self.body, self.conditions, self.numbering,
+                                                                          material["kappa"])
+        self.is_ahead = False
         self.t, self.increments = 0.0, 0
         self.last: Trial | None = None
         self.next_increment: float | None = None
@@ -182,13 +198,38 @@ class Problem:
         x = self._cell_positions()
         return self.body.kinematics(x, np.zeros_like(x))[1].ravel()
 
+    def unjammed_share(self) -> float:
+        """The part of the body's volume where p = 0; collective."""
+        volumes = self.point_volumes()
+        unjammed = tensors.trace(self.states["stress"]) >= 0
+        part, whole = self.comm.allreduce(np.array([volumes[unjammed].sum(), volumes.sum()]))
+        return part / whole
+
     def _cell_positions(self) -> np.ndarray:
         """Positions (cells, nodes per cell, d) of the cells' nodes now."""
         return self.body.at_cells(self.positions + self.displacement)
 
+    def _target(self, t: float, duration: float, u: np.ndarray | float = 0.0) -> np.ndarray:
+        """Unknowns (nodes, unknowns) along the nodes' axes that conditions prescribe for an increment that ends at t.
+
+        Where the mesh does not follow the material, these become the axes in the middle of displacements u (nodes, d): what slips
+        along a curved wall moves along a chord.
+        """
+        if self.moving_mesh is None:
+            return self.numbering.prescribed(t, duration) - self._in_axes(self.displacement)
+        x = self.positions + self.displacement
+        self.numbering.move_axes(x + u / 2)
+        return self.numbering.prescribed_motion(self.t, t, x)
+
     def lag_of_prescribed(self) -> tuple[float, np.ndarray]:
         """How far the displacements are from those prescribed now at most, and the position at the start where; collective."""
-        lag = abs(self.numbering.prescribed(self.t) - self._in_axes(self.displacement))
+        if self.moving_mesh is None or self.last is None:
+            lag = self._target(self.t, 0.0)
+        else:                                                    # of the last increment
+            start = self.positions + self.displacement - (self.last.u if self.is_ahead else 0)
+            lag = (self.numbering.prescribed_motion(self.last.t - self.last.duration, self.t, start)
+                   - self._in_axes(self.last.u)) * ~self.numbering.has_placed_axes[:, None]
+        lag = abs(lag)
         lag = np.where(self.numbering.is_prescribed, lag, 0).max(axis=1, initial=0.0)
         node = int(np.argmax(lag)) if len(lag) else None
         own = (0.0, []) if node is None else (float(lag[node]), self.positions[node].tolist())
@@ -203,6 +244,10 @@ class Problem:
         """Brings the problem to where it, or another problem set up in the same way, was at a snapshot."""
         for entry in fields(Snapshot):
             setattr(self, entry.name, getattr(snapshot, entry.name))
+        if self.moving_mesh is not None and self.last is not None:
+            x = self.positions + self.displacement
+            self.numbering.move_axes(x - self.last.u if self.is_ahead else x)
+            self.loads.weigh(self.states["volume_fraction"] * self.point_volumes())
 
     # ---- one increment ---------------------------------------------------------------------------------------------
 
@@ -220,9 +265,28 @@ class Problem:
         Trial
             For `accept` if its `failure` is empty.
         """
+        self.move_mesh()
         residuals: list[float] = []
         trial = self._newton(duration, residuals, stop)
+        if self.moving_mesh is not None and not trial.failure:
+            x = self.positions + self.displacement
+            trial = replace(trial, failure=self.moving_mesh.fault(x + trial.u, self.moving_mesh.target(x, x + trial.u, trial.t)))
         return replace(trial, residuals=tuple(residuals))
+
+    def move_mesh(self) -> None:
+        """Lets the mesh go its own way after the last increment, and convects the state; the next increment begins so."""
+        if not self.is_ahead:
+            return
+        assert self.moving_mesh is not None and self.last is not None
+        material = self.positions + self.displacement
+        new = self.moving_mesh.target(material - self.last.u, material, self.t)
+        values = np.column_stack([numbers(self.states), self.shear_strain, self.volume_strain])
+        values = self.moving_mesh.convection.convect(values, material, new)
+        self.states = np.ascontiguousarray(values[:, :STATE_NUMBERS]).view(STATE).reshape(-1).view(np.recarray)
+        self.shear_strain, self.volume_strain = values[:, STATE_NUMBERS:].T.copy()
+        self.displacement, self.is_ahead = new - self.positions, False
+        self.numbering.move_axes(new)
+        self.loads.weigh(self.states["volume_fraction"] * self.point_volumes())
 
     def accept(self, trial: Trial, t: float | None = None) -> None:
         """Makes a solved trial the state of the problem.
@@ -242,14 +306,16 @@ class Problem:
             raise ValueError(f"the trial was not solved: {trial.failure}")
         self.t, self.increments, self.last = trial.t if t is None else t, self.increments + 1, trial
         self.displacement = self.displacement + trial.u
-        self.states = trial.states
+        self.states, self.is_ahead = trial.states, self.moving_mesh is not None
         strain = tensors.symmetric(trial.gradients)
         self.shear_strain = self.shear_strain + 2 * tensors.magnitude(tensors.deviator(strain))
         self.volume_strain = self.volume_strain + tensors.trace(strain)
 
     def _newton(self, duration: float, residuals: list[float], stop: Callable[[], object]) -> Trial:
         """Newton's method with a line search; appends the residual of the first guess and of every iteration to residuals."""
-        target = self.numbering.prescribed(self.t + duration, duration) - self._in_axes(self.displacement)
+        target = self._target(self.t + duration, duration)
+        if self.moving_mesh is not None:
+            target = self._target(self.t + duration, duration, self._predictor(target, duration)[:, :self.d])
         trial, tangent = self.evaluate(self._predictor(target, duration), duration, with_tangent=True)
         if trial.failure:
             trial, tangent = self.evaluate(np.zeros(self.numbering.labels.shape), duration, with_tangent=True)
@@ -262,6 +328,8 @@ class Problem:
                 return trial
             if self.comm.allreduce(bool(stop()), MPI.LOR):
                 return replace(trial, failure=STOPPED)
+            if self.moving_mesh is not None:
+                target = self._target(self.t + duration, duration, trial.u)
             prescribed = self._prescribed_correction(target, trial)
             stiffness = self.stiffness(trial, tangent)
             tangent = None                                       # its memory is needed by the linear solver
@@ -524,7 +592,7 @@ class Problem:
 
 
 def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[object], degree: object, gravity: Any,
-            rate_term: object, length: object) -> list[str]:
+            rate_term: object, length: object, motion: object) -> list[str]:
     """What is wrong with the arguments of Problem."""
     d = mesh.geometry.dim
     faults = []
@@ -536,6 +604,8 @@ def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[ob
         faults.append(f"the mesh has cells of dimension {mesh.topology.dim} in {d} dimensions: must be 2 in 2 or 3 in 3")
     if degree not in (1, 2):
         faults.append(f"degree = {degree!r}: must be 1 or 2")
+    faults += motion_faults(motion, mesh.topology.cell_type.name, degree,
+                            any(isinstance(condition, (Inflow, Outflow)) for condition in conditions))
     faults += [f"{name} = {value!r}: must be a finite number, at least 0" for name, value in (("rate_term", rate_term),
                ("length", length)) if not is_number(value) or not 0 <= value < np.inf]
     if gravity is not None and not _are_numbers(gravity, d):
@@ -546,7 +616,10 @@ def _faults(mesh: dolfinx.mesh.Mesh, material: Material, conditions: Sequence[ob
         if isinstance(condition, NonlocalStrain) and length == 0:
             faults.append(f"condition {number} (NonlocalStrain): the problem has no length")
         if isinstance(condition, KINDS):
-            faults += [f"condition {number} ({type(condition).__name__}): {fault}" for fault in _condition_faults(condition, d)]
+            name = f"condition {number} ({type(condition).__name__})"
+            faults += [f"{name}: {fault}" for fault in _condition_faults(condition, d)]
+            if isinstance(condition, Inflow) and not callable(condition.state):
+                attempt(faults, f"{name}: state: ", material.check_start, condition.state)
         else:
             faults.append(f"condition {number}: {condition!r} is none of {', '.join(kind.__name__ for kind in KINDS)}")
     return faults

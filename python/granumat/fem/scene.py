@@ -19,7 +19,7 @@ from . import meshes
 from ._compat import FacetTags
 from .cellwise import on_rank_0
 from .checkpoint import Checkpoint, resume
-from .conditions import Displacement, Periodic, Pressure, Tied, Traction, Where, polar, rotation
+from .conditions import Displacement, Inflow, Outflow, Periodic, Pressure, Tied, Traction, Where, polar, rotation
 from .control import run
 from .errors import SolveError
 from .fields import Fields
@@ -104,13 +104,13 @@ def problem_of(scene: Scene, comm: MPI.Comm) -> tuple[Problem, dict[str, Where]]
         wheres = {side: names[side] if isinstance(side, str) else side for side in sides}
     else:
         wheres = {side: _side(scene.mesh, d, str(side)) for side in sides}
-    conditions = [condition for entry in scene.conditions
-                  for condition in _conditions(entry, wheres[entry.on], size, scene.mesh["kind"])]
-    if "angle" in scene.mesh:
-        conditions.append(_tie_of_sector(scene.mesh["angle"]))
     initial: Any = scene.initial
     if isinstance(initial, Resting):
         initial = resting(scene.material, initial.volume_fraction, initial.weight, size[-1], initial.pressure, initial.k0)
+    conditions = [condition for entry in scene.conditions
+                  for condition in _conditions(entry, wheres[entry.on], size, scene.mesh["kind"], initial)]
+    if "angle" in scene.mesh:
+        conditions.append(_tie_of_sector(scene.mesh["angle"]))
     problem = Problem(mesh, scene.material, initial, conditions, facet_tags=tags, **scene.settings)
     return problem, {str(entry.on): wheres[entry.on] for entry in scene.conditions if entry.is_held}
 
@@ -154,8 +154,8 @@ def _side(table: dict[str, Any], d: int, name: str) -> _Plane | _Circle:
     return _Circle(float(table["radii"][name == "outer"]), ON_SIDE * table["radii"][1])
 
 
-def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind: str) -> list[object]:
-    """The conditions of one side of a body of a size (d)."""
+def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind: str, initial: Any) -> list[object]:
+    """The conditions of one side of a body of a size (d), into which material flows in the initial state."""
     local_axes = polar() if kind == "annulus" else None
     conditions: list[object] = []
     if entry.displacement:
@@ -175,6 +175,8 @@ def _conditions(entry: SideConditions, where: Where, size: Sequence[float], kind
         shift = np.zeros(len(size))
         shift[entry.periodic] = size[entry.periodic]
         conditions.append(Periodic(where, lambda x: x - shift))
+    if entry.opening is not None:
+        conditions.append(Inflow(where, initial) if entry.opening == "inflow" else Outflow(where))
     return conditions
 
 
@@ -222,6 +224,9 @@ class _Turned:
 
     def __call__(self, x: np.ndarray, t: float) -> np.ndarray:
         return rotation(self.angle, self.center)(x, t)
+
+    def motion(self, x: np.ndarray, start: float, t: float) -> np.ndarray:
+        return rotation(self.angle, self.center).motion(x, start, t)
 
 
 @dataclass(frozen=True)
@@ -276,8 +281,8 @@ def solve(path: str | Path, out: str | Path, resumed: bool = False, overwrite: b
         else:
             on_rank_0(comm, lambda: clear(out, overwrite, WAYS_OUT))
         try:
-            run(problem, scene.run.until, scene.run.increment, smallest=scene.run.smallest, events=scene.events,
-                observers=[*outputs, checkpoint], progress=progress)
+            run(problem, scene.run.end, scene.run.increment, smallest=scene.run.smallest, events=scene.events,
+                observers=[*outputs, checkpoint], unjammed=scene.run.unjammed, progress=progress)
         except (SolveError, InterruptedRunError) as error:
             _write_all(problem, outputs, checkpoint)
             raise type(error)(f"{error}\neverything up to t = {problem.t:g} is in {out}: {_left(comm, out)}"

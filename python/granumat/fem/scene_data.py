@@ -75,6 +75,8 @@ class SideConditions:
         By component, in units of stress.
     periodic : int or None
         The axis across the side, if it has the displacement of the opposite side.
+    opening : "inflow", "outflow" or None
+        Whether material enters in the initial state, or leaves, where the mesh does not follow it.
     """
 
     on: str | int
@@ -86,6 +88,7 @@ class SideConditions:
     pressure: Function | None
     traction: dict[int, Function]
     periodic: int | None
+    opening: str | None
 
     @property
     def is_held(self) -> bool:
@@ -101,11 +104,17 @@ class SideConditions:
 
 @dataclass(frozen=True)
 class RunControl:
-    """Arguments of control.run: end, largest increment and smallest one, in pseudo-time."""
+    """Arguments of control.run: end, infinite if that is a steady state, largest increment and smallest one; unjammed."""
 
     until: float
     increment: Function
     smallest: float | None
+    unjammed: float | None
+
+    @property
+    def end(self) -> float | str:
+        """The end as control.run has it."""
+        return "steady" if self.until == np.inf else self.until
 
 
 @dataclass(frozen=True)

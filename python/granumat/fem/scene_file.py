@@ -14,20 +14,22 @@ from ..quantities import Quantity, read_quantities
 from ..toml import read_toml, table_of, tables_of
 from . import meshes
 from .fields import COMPONENTS, FIELDS, SCALAR_FIELDS, check_fields
+from .motion import KINDS, motion_faults
 from .problem import Tolerances
 from .quantities import read_source
 from .reduction import reduction_faults
 from .scene_data import BOX_SIDES, Function, OutputRequest, Region, Resting, RunControl, Scene, SideConditions
 from .symmetry import exchange_y_z
 
-TABLES = ("material", "mesh", "initial", "problem", "condition", "run", "output", "region", "quantity", "ladder")
+TABLES = ("material", "mesh", "initial", "problem", "motion", "condition", "run", "output", "region", "quantity", "ladder")
 # By kind of mesh: the keys that it needs, and those that it may have.
 MESH_KEYS = {"box": (("size", "cells"), ("cell", "grading", "layer", "plane")),
              "annulus": (("radii", "cells"), ("height", "cell", "grading", "sector", "plane")), "gmsh": (("file",), ())}
 REDUCTIONS = ("sector", "layer", "plane")
 OPPOSITE_SIDES = ({"left", "right"}, {"front", "back"}, {"bottom", "top"})
 CARTESIAN, POLAR = ("x", "y", "z"), ("radial", "circumferential", "z")
-CONDITION_KEYS = ("displacement", "gradient", "rotation", "platen", "pressure", "traction", "periodic")
+CONDITION_KEYS = ("displacement", "gradient", "rotation", "platen", "pressure", "traction", "periodic", "inflow",
+                  "outflow")
 ON_SIDE = 1e-6                      # over the body's size: a place as close as that to a side is on it
 CHECKPOINT_SECONDS = 600            # between two checkpoints, if the file says nothing else
 
@@ -47,6 +49,7 @@ def read_scene(path: str | Path) -> Scene:
     mesh = attempt(faults, "[mesh]: ", _mesh, content, path.parent)
     kind, d = _kind_and_dimension(content.get("mesh"))
     settings = attempt(faults, "[problem]: ", _settings, content, d)
+    motion = attempt(faults, "[motion]: ", _motion, content)
     initial = attempt(faults, "", _initial, content, material, kind, d, settings or {})
     entries = attempt(faults, "", tables_of, content, "condition") or []
     conditions = [attempt(faults, f"condition {number}: ", _side_conditions, entry, kind, d)
@@ -57,15 +60,20 @@ def read_scene(path: str | Path) -> Scene:
     sides = None if None in conditions else [side for of_entry in conditions for side in of_entry or []]
     quantities = attempt(faults, "", _quantities, content, d, sides, run, output, regions)
     attempt(faults, "", claimed_symmetries, content)
+    if motion is not None and mesh is not None and settings is not None and kind != "gmsh":
+        faults += [f"[motion]: {fault}" for fault in motion_faults(
+            motion, mesh.get("cell") or meshes.CELL_SHAPES[d or 2][0], settings.get("degree", 1),
+            any(side.opening for side in sides or ()))]
     if mesh is not None:
         faults += [f"[mesh]: {fault}" for fault in reduction_faults(
             mesh, settings, initial, sides, regions or [], [quantity.of for quantity in quantities or []])]
         faults += [f"[output]: probes: {name} = {x!r}: is outside the body"
                    for name, x in (output.probes if output else {}).items() if _is_outside(mesh, x)]
     refuse(f"{path} cannot be run", faults)
-    assert (material is not None and initial is not None and mesh is not None and settings is not None and sides is not None
-            and run is not None and output is not None and regions is not None and quantities is not None)  # or there were faults
-    return Scene(path, material, initial, mesh, settings, sides, run, output, regions, quantities)
+    assert (motion is not None and material is not None and initial is not None and mesh is not None and settings is not None
+            and sides is not None and run is not None and output is not None and regions is not None
+            and quantities is not None)                          # or there were faults
+    return Scene(path, material, initial, mesh, settings | {"motion": motion}, sides, run, output, regions, quantities)
 
 
 # ---- checks of keys and values: each appends what is wrong to faults -------------------------------------------------
@@ -202,6 +210,17 @@ def _settings(content: dict[str, Any], d: int | None) -> dict[str, Any]:
     return table | {"tolerances": Tolerances(**tolerances)}
 
 
+def _motion(content: dict[str, Any]) -> str:
+    table = table_of(content, "motion")
+    faults: list[str] = []
+    _check_keys(table, (), ("kind",), faults)
+    kind = table.get("kind", "lagrangian")
+    if kind not in KINDS:
+        faults.append(f"kind = {kind!r}: must be one of {', '.join(KINDS)}")
+    refuse("is wrong", faults)
+    return kind
+
+
 def _initial(content: dict[str, Any], material: Material | None, kind: str | None, d: int | None,
              settings: dict[str, Any]) -> np.void | Resting | None:
     """The initial state; None if the material, which it depends on, has faults of its own."""
@@ -235,14 +254,17 @@ def _resting(table: dict[str, Any], gravity: list[float] | None) -> Resting:
 def _run(content: dict[str, Any]) -> RunControl:
     table = table_of(content, "run")
     faults: list[str] = []
-    _check_keys(table, ("until", "increment"), ("smallest",), faults)
-    _check_number(table, "until", "a number above 0", lambda value: value > 0, faults)
+    _check_keys(table, ("until", "increment"), ("smallest", "unjammed"), faults)
+    if table.get("until") != "steady":
+        _check_number(table, "until", "a number above 0, or 'steady'", lambda value: value > 0, faults)
+    _check_number(table, "unjammed", "a number from 0 to 1", lambda value: 0 <= value <= 1, faults)
     increment = _function(table.get("increment", 1.0), "increment", faults)
     if min(increment.values) <= 0 and not any(fault.startswith("increment") for fault in faults):
         faults.append(f"increment = {table['increment']!r}: must be above 0")
     _check_number(table, "smallest", "a number above 0", lambda value: value > 0, faults)
     refuse("is wrong", faults)
-    return RunControl(float(table["until"]), increment, table.get("smallest"))
+    until = np.inf if table["until"] == "steady" else float(table["until"])
+    return RunControl(until, increment, table.get("smallest"), table.get("unjammed"))
 
 
 def _output(content: dict[str, Any], d: int | None) -> OutputRequest:
@@ -346,12 +368,16 @@ def _side_conditions(entry: dict[str, Any], kind: str | None, d: int | None) -> 
     if "periodic" in entry and not (entry["periodic"] is True and kind == "box" and set(map(str, sides)) in OPPOSITE_SIDES
                                     and len(sides) == 2 and len(entry) == 2):
         faults.append("periodic = true stands alone with on = [\"left\", \"right\"] or another two opposite sides of a box")
+    openings = [key for key in ("inflow", "outflow") if key in entry]
+    faults += [f"{key} = {entry[key]!r}: must be true" for key in openings if entry[key] is not True]
+    if len(openings) == 2:
+        faults.append("inflow and outflow cannot be given together")
     refuse("is wrong", faults)
     axis = None
     if "periodic" in entry and d is not None:                   # the side away from 0 has the displacement of the other one
         axis, sides = BOX_SIDES[d][sides[0]][0], [side for side in sides if BOX_SIDES[d][side][1] == 1]
     return [SideConditions(side, displacement, gradient, rotation, entry.get("center", [0.0, 0.0]), platen, pressure, traction,
-                           axis) for side in sides]
+                           axis, next(iter(openings), None)) for side in sides]
 
 
 def _sides(entry: dict[str, Any], kind: str | None, d: int | None, faults: list[str]) -> list[Any]:

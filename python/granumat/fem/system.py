@@ -163,6 +163,10 @@ class System:
             q of every unknown along its node's axes, 0 where it is prescribed. None if no solver solves the equations.
         """
         self.assemble()
+        return self.solve_again(forces)
+
+    def solve_again(self, forces: np.ndarray) -> np.ndarray | None:
+        """As `solve`, with the matrix as it is assembled."""
         if not self.solve_assembled(self._sum(forces)):
             return None
         self._to_nodes.scatter(self._solution, self._at_nodes)

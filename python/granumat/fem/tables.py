@@ -103,7 +103,7 @@ def point_columns(problem: Problem, points: np.ndarray | slice, symmetry: Symmet
 
 
 class MaterialPoint:
-    """The integration point that is nearest to a position at the start.
+    """The integration point that is nearest to a position at the start; it stays in the mesh if this does not follow the material.
 
     Parameters
     ----------

@@ -78,3 +78,4 @@ class Snapshot:
     shear_strain: np.ndarray
     volume_strain: np.ndarray
     last: Trial | None
+    is_ahead: bool
