@@ -129,7 +129,7 @@ def test_a_block_under_a_platen_follows_its_boundary():
 
 
 def test_what_flows_through_is_in_equilibrium_and_leaves_as_it_enters():
-    """A column under its own weight that moves down through a mesh that stays, with walls that slip: nothing changes."""
+    """A column that moves down through a mesh that stays, with walls that slip: nothing changes."""
     column = fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (0.5, 1), (3, 6)), SAND, DENSE, [
         fem.Displacement(at(0, 0), components=[0]), fem.Displacement(at(0, 0.5), components=[0]),
         fem.Displacement(at(1, 0), lambda x, t: [0, -0.1 * t], components=[1]), fem.Outflow(at(1, 0)),
@@ -137,6 +137,19 @@ def test_what_flows_through_is_in_equilibrium_and_leaves_as_it_enters():
     fem.run(column, 30, 0.5)                                     # by three heights
     assert column.t == 30 and column.states.volume_fraction == pytest.approx(0.6, rel=1e-9)
     assert column.states.stress == pytest.approx(np.tile(DENSE.stress, (len(column.states), 1)), abs=1e-10)
+
+
+def test_a_layer_with_weight_is_as_on_a_mesh_that_moves_with_the_material():
+    found = []
+    for motion in ("fixed", "lagrangian"):
+        problem = layer(motion, cells=(3, 6), gravity=(0, -0.02))
+        fem.run(problem, 0.4, 0.01)                              # the lid goes by 0.2, by 0.6 of a cell
+        pressure = -problem.states.stress[:, :3].sum(axis=1).reshape(problem.cells, -1).mean(axis=1) / 3
+        at_height = np.argsort(problem.point_positions().reshape(problem.cells, -1, 2)[..., 1].mean(axis=1), kind="stable")
+        found.append(pressure[at_height].reshape(6, 3).mean(axis=1))
+    fixed, moved = found
+    assert fixed == pytest.approx(moved, rel=2e-3)
+    assert fixed[0] - fixed[-1] > 0.6 * 0.02 * 0.4 * 0.9         # the weight of the solid between the middles of the outer rows
 
 
 def test_increments_that_sweep_too_far_are_cut():
