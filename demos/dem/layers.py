@@ -13,7 +13,7 @@ from grains import Sample, whole_steps
 from shear_run import Run
 
 LAYERS = 64                 # of equal height
-SAMPLED = 400               # time steps, at most, between samples of the layers; the body force is renewed as often
+SAMPLED = 200               # time steps, at most, between samples of the layers; the body force is renewed as often
 QUANTITIES = ("slip", "phi", "sigma_xx", "sigma_yy", "sigma_zz", "sigma_xz")
 
 
