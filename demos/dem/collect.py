@@ -119,13 +119,15 @@ def steady_table(records):
 
 # ---- all -------------------------------------------------------------------------------------------------------------------
 
-def collect(runs, folder):
+def collect(runs, folder, reduce=thinned):
     """Add complete runs to a folder of collected ones, and write its means, scatter and table of steady shear anew.
 
     Parameters
     ----------
     runs : iterable of Run
     folder : Path
+    reduce : function of a run's columns
+        What is kept of them.
 
     Raises
     ------
@@ -142,7 +144,7 @@ def collect(runs, folder):
     if mixed:
         raise ValueError("runs of one programme may differ in their seeds only:\n  " + "\n  ".join(mixed))
     for table, run in new.items():
-        write(table, thinned(read(run.table)))
+        write(table, reduce(read(run.table)))
     for record, made in records.items():
         name = record.stem
         seeds = sorted(int(file.stem.rpartition("_s")[2]) for file in record.parent.glob(f"{name}_s*[0-9].csv"))

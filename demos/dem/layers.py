@@ -38,17 +38,17 @@ class LayeredSample(Sample):
         self.lmp.commands_string("""
             fix body all external pf/array 1
             compute forces all pair/local dx dy dz fx fy fz p1 p2 p3 cutoff radius""")
-        self._layers = np.full((len(QUANTITIES), LAYERS), np.nan)
+        self._layers = None
 
     def shear(self, strain, rate, control="volume", normal_stress=(0.0, 0.0, 0.0)):
         """Shear on as a Sample does, and take means over the layers."""
         pieces = math.ceil(whole_steps(strain, rate, self.contact)[0] / SAMPLED)
-        sums = np.zeros_like(self._layers)
+        sums = np.zeros((len(QUANTITIES), LAYERS))
         for _ in range(pieces):
             x = self._of_spheres("x")
             self._push(x, normal_stress[2])
             super().shear(strain / pieces, rate, control, normal_stress)
-            sums += self._sampled(x)
+            sums += self._sampled(x, strain / pieces)
         self._layers = sums / pieces
         self._layers[0] = sums[0]                       # slip adds up
 
@@ -61,7 +61,8 @@ class LayeredSample(Sample):
             Each layer's slip is the mean displacement along the flow; phi goes by the spheres' centres, the stress by the middles
             of contacts.
         """
-        layers = {column(quantity, layer): float(value) for quantity, values in zip(QUANTITIES, self._layers)
+        of_layers = self._sampled(self._of_spheres("x"), 0.0) if self._layers is None else self._layers
+        layers = {column(quantity, layer): float(value) for quantity, values in zip(QUANTITIES, of_layers)
                   for layer, value in enumerate(values)}
         return super().measure() | {"height": self._box()[0][2]} | layers
 
@@ -90,13 +91,14 @@ class LayeredSample(Sample):
         array[:] = 0
         array[:self.number, 2] = force[names - 1]
 
-    def _sampled(self, x):
-        """QUANTITIES (quantities, layers) of the layers, of which slip is that since the spheres were at x."""
+    def _sampled(self, x, strain):
+        """QUANTITIES (quantities, layers) of the layers, of which slip is that since the spheres were at x, in a strain of the box."""
         (lx, ly, lz), tilt = self._box()
         moved = self._of_spheres("x") - x
         turns = np.round(moved[:, 2] / lz)              # through the top and bottom, where images of spheres move
         slip = moved[:, 0] - turns * tilt
         slip -= lx * np.round(slip / lx)
+        slip -= np.floor(x[:, 2] / lz + 0.5) * strain * lz      # of the image in the box; LAMMPS lets spheres out for a while
         layer, volume = _layer(x[:, 2], lz), lx * ly * lz / LAYERS
         spheres = np.bincount(layer, minlength=LAYERS)
         solid = 4 / 3 * math.pi * self._of_spheres("radius") ** 3

@@ -1,0 +1,78 @@
+"""Collects complete runs of gradient.toml: their histories with the slip of every layer, and what layers do in steady shear.
+
+    python profiles.py runs
+
+Runs that were collected before stay, and count in the means.
+"""
+
+import argparse
+import sys
+import tomllib
+from pathlib import Path
+
+import numpy as np
+from collect import collect, over_seeds, read, write
+from ensemble import collected
+from gradient import COLLECTED, SETTINGS, planned
+from layers import LAYERS, QUANTITIES, column
+
+
+def of_layers(columns, quantity):
+    """A quantity (rows, layers) of a table."""
+    return np.array([columns[column(quantity, layer)] for layer in range(LAYERS)]).T
+
+
+def slips_only(columns):
+    """A table without what the layers do but for their slip."""
+    dropped = {column(quantity, layer) for quantity in QUANTITIES if quantity != "slip" for layer in range(LAYERS)}
+    return {name: values for name, values in columns.items() if name not in dropped}
+
+
+def profile(columns):
+    """What the layers do in the last step of a table that shears forward: means over its time.
+
+    Returns
+    -------
+    dict of str to array (layers)
+        z, height of the layer's middle from that of the box; slip, displacement along the flow per slip of the box from end to end;
+        phi and the stress, compression positive, as far as they are in the table.
+    """
+    forward = np.diff(columns["gamma"], prepend=0) > 0
+    rows = forward & (columns["step"] == columns["step"][forward].max())
+    height = columns["height"][rows].mean()
+    strain = np.diff(columns["gamma"], prepend=0)[rows]
+    slip = of_layers(columns, "slip")[rows].sum(axis=0) / (strain * columns["height"][rows]).sum()
+    return {"z": ((np.arange(LAYERS) + 0.5) / LAYERS - 0.5) * height, "slip": slip,
+            **{quantity: of_layers(columns, quantity)[rows].mean(axis=0) for quantity in QUANTITIES[1:]
+               if column(quantity, 0) in columns}}
+
+
+def collect_profiles(runs, folder):
+    """Write the profiles of complete runs that shear forward, and the means and scatter over seeds of all that are collected."""
+    for run in runs:
+        if run.complete and any(part.shear > 0 for part in run.plan):
+            table = collected(run, folder)
+            write(table.with_name(f"{run.table.stem}-profile_s{run.seed}.csv"), profile(read(run.table)))
+    for name in {table.with_name(table.name.rpartition("_s")[0]) for table in folder.glob("*/*-profile_s*.csv")}:
+        tables = [read(table) for table in sorted(name.parent.glob(f"{name.name}_s[0-9]*.csv"))]
+        if len(tables) > 1:
+            for kind, columns in zip(("mean", "scatter"), over_seeds(tables)):
+                write(name.with_name(f"{name.name}_{kind}.csv"), columns)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("runs", type=Path, help="folder of the runs")
+    parser.add_argument("--folder", type=Path, default=COLLECTED, help="folder of the collected data")
+    parser.add_argument("--settings", type=Path, default=SETTINGS)
+    arguments = parser.parse_args()
+    runs = planned(arguments.runs, tomllib.loads(arguments.settings.read_text())).values()
+    collect(runs, arguments.folder, slips_only)
+    collect_profiles(runs, arguments.folder)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except ValueError as error:
+        sys.exit(f"profiles.py: {error}")
