@@ -22,6 +22,7 @@ from layers import LAYERS, column  # noqa: E402
 HEIGHT, PRESSURE, PHI = 31.2, 0.005, 0.60               # of the whole box, in d and k/d
 START, FORTH, BACK = 3.1, 12.4, 8.1                     # slip of the whole box to steady shear, in it, and after the reversal, in d
 SLIP = 0.05                                             # of an increment, in d
+CREEP = 1e-6                                            # m at the top per slip: it would fall below round-off there
 
 
 def pressure_at(z, gradient):
@@ -50,7 +51,7 @@ def shear_column(material, length, gradient, rows=62, back=BACK):
 
     problem = fem.Problem(mesh, material, resting, [
         fem.Displacement(middle, components=[0]), fem.Tied(middle, 1), fem.Pressure(middle, pressure_at(width / 2, gradient)),
-        fem.Displacement(top, lambda x, t: np.array([min(t, 2 * turn - t) / 2, 0.0])),
+        fem.NonlocalStrain(top, CREEP), fem.Displacement(top, lambda x, t: np.array([min(t, 2 * turn - t) / 2, 0.0])),
         *(fem.Traction(tag, (0.0, jump)) for tag, jump in enumerate(jumps.tolist(), 1)),
         fem.Periodic(lambda x: np.isclose(x[0], width), lambda x: x - np.array([width, 0.0]))], length=length, facet_tags=tags)
     line = problem.nodes_at(lambda x: np.isclose(x[0], 0))
@@ -58,13 +59,23 @@ def shear_column(material, length, gradient, rows=62, back=BACK):
     found = []
 
     def watch(problem):
-        force = problem.reaction(top)[0][0] if problem.last else 0.0
-        found.append((problem.t, force / width, *problem.displacement[line].T))
+        if problem.last:
+            found.append((problem.t, problem.reaction(top)[0][0] / width, *problem.displacement[line].T))
 
-    fem.run(problem, turn, SLIP, events=[START], observers=[watch])
-    problem.last = None                                 # the guess from before the reversal leads nowhere
-    fem.run(problem, turn + back, SLIP, observers=[lambda problem: watch(problem) if problem.last else None])
+    for until in (START, turn, turn + back):
+        go_on(problem, until, watch)
     return table(problem.positions[line, 1], gradient, *map(np.array, zip(*found)))
+
+
+def go_on(problem, until, watch):
+    """Run; where the guess from the last increment leads nowhere, as after the reversal, go on as from rest."""
+    while problem.t < until:
+        try:
+            fem.run(problem, until, SLIP, observers=[watch])
+        except fem.SolveError:
+            if problem.last is None:
+                raise
+            problem.last = problem.next_increment = None
 
 
 def table(z, gradient, t, tau, u_x, u_z):

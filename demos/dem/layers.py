@@ -38,6 +38,7 @@ class LayeredSample(Sample):
         self.lmp.commands_string("""
             fix body all external pf/array 1
             compute forces all pair/local dx dy dz fx fy fz p1 p2 p3 cutoff radius""")
+        self._refresh()                                 # the new compute needs lists of neighbours
         self._layers = None
 
     def shear(self, strain, rate, control="volume", normal_stress=(0.0, 0.0, 0.0)):
