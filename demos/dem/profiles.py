@@ -16,6 +16,8 @@ from ensemble import collected
 from gradient import COLLECTED, SETTINGS, planned
 from layers import LAYERS, QUANTITIES, column
 
+SETTLING = 1 / 3            # part of the last step of steady shear that does not count, since far from the band it is not steady yet
+
 
 def of_layers(columns, quantity):
     """A quantity (rows, layers) of a table."""
@@ -29,7 +31,7 @@ def slips_only(columns):
 
 
 def profile(columns):
-    """What the layers do in the last step of a table that shears forward: means over its time.
+    """What the layers do in the last step of a table that shears forward: means over its time, after SETTLING.
 
     Returns
     -------
@@ -39,6 +41,7 @@ def profile(columns):
     """
     forward = np.diff(columns["gamma"], prepend=0) > 0
     rows = forward & (columns["step"] == columns["step"][forward].max())
+    rows &= columns["gamma"] > np.quantile(columns["gamma"][rows], SETTLING)
     height = columns["height"][rows].mean()
     strain = np.diff(columns["gamma"], prepend=0)[rows]
     slip = of_layers(columns, "slip")[rows].sum(axis=0) / (strain * columns["height"][rows]).sum()
