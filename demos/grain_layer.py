@@ -3,26 +3,39 @@
 #
 # Half of the box of demos/dem/gradient.toml: a column of sand, periodic along the flow, from the plane in the middle, where the
 # pressure is least, to the top, in grain diameters. A body force makes the pressure p (1 - a cos(2 pi z/H)); it comes as tractions
-# on the rows of facets. The top is sheared by 6 diameters and back. The steady profile gives the length (demos/dem/bands.py); here
-# is what the law then does after the reversal.
+# on the rows of facets. The column is sheared forth and back as the grains are. Steady shear gives the length (demos/dem/bands.py);
+# here is what the law then does on its way there and after the reversal.
 
 # %%
 import sys
+from itertools import product
 from pathlib import Path
 
 import dolfinx.mesh
+import fields
 import numpy as np
+from matplotlib.figure import Figure
 from mpi4py import MPI
 
-from granumat import STATE, fem
+from granumat import STATE, Material, fem
 
 sys.path.insert(0, str(Path(__file__).parent / "dem"))
+import bands  # noqa: E402
+from collect import read  # noqa: E402
+from gradient import COLLECTED  # noqa: E402
 from layers import LAYERS, column  # noqa: E402
+from profiles import profile  # noqa: E402
 
 HEIGHT, PRESSURE, PHI = 31.2, 0.005, 0.60               # of the whole box, in d and k/d
 START, FORTH, BACK = 3.1, 12.4, 8.1                     # slip of the whole box to steady shear, in it, and after the reversal, in d
-SLIP = 0.05                                             # of an increment, in d
-CREEP = 1e-6                                            # m at the top per slip: it would fall below round-off there
+SLIP = 0.1                                              # of an increment, in d
+CREEP = 3e-4                                            # m at the top per slip, as that of the grains; it would fall below round-off
+SIZE = 0.5                                              # of the cells, over the length
+GRADIENTS = (0.5, 0.3)
+LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.45),
+        "kinematic": (Material(0.5, closure="kinematic", elastic_strain=0.01), 0.58),
+        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.41)}
+SHORT = {"laws": {"full": (LAWS["full"][0], 1.5)}, "gradients": (0.5,), "size": 0.7, "back": 1.0}
 
 
 def pressure_at(z, gradient):
@@ -91,3 +104,59 @@ def table(z, gradient, t, tau, u_x, u_z):
     return columns | {column("slip", layer): slip[:, layer] for layer in range(LAYERS)} | {
         column("sigma_zz", layer): np.full(len(t), pressures[layer]) for layer in range(LAYERS)} | {
         column("sigma_xz", layer): -tau for layer in range(LAYERS)}
+
+
+# %%
+def main(laws=LAWS, gradients=GRADIENTS, size=SIZE, back=BACK, out=None):
+    columns = {}
+    for (law, (material, length)), gradient in product(laws.items(), gradients):
+        columns[law, gradient] = one = shear_column(material, length, gradient, round(HEIGHT / 2 / (size * length)), back)
+        forth = {name: values[one["step"] < 3] for name, values in one.items()}
+        steady, after = bands.measured_band(profile(forth)), bands.Reversal.of(one)
+        deviation, width = bands.width(steady)
+        found = bands.of_reversal(after, steady)
+        print(f"{law}, gradient {gradient}: deviation {deviation:.3f}, width {width:.3f}, "
+              + ", ".join(f"{name} {value:.3f}" for name, value in found.items()), flush=True)
+    if out:
+        fields.save(draw(columns), out, "grain-layer")
+    return columns
+
+
+def draw(columns):
+    figure = Figure(figsize=(12.5, 3.8), layout="constrained")
+    steady, slips, stress = figure.subplots(1, 3)
+    for number, gradient in enumerate(GRADIENTS):
+        place = COLLECTED / f"gradient{gradient:g}"
+        seeds = [bands.folded_shear(bands.measured_band(one)) for one in bands.seeds_of(place, "steady-profile").values()]
+        z, shear = np.mean(seeds, axis=0)
+        spread = np.std([one[1] for one in seeds], axis=0)
+        steady.fill_between(z, np.maximum(shear - spread, 1e-5), shear + spread, color="0.8", linewidth=0)
+        steady.plot(z, shear, "os"[number], color="0.3", markersize=4, markerfacecolor="none", label=f"grains, a = {gradient:g}")
+    band = bands.measured_band(read(COLLECTED / "gradient0.5" / "steady-profile_mean.csv"))
+    for seed in bands.seeds_of(COLLECTED / "gradient0.5", "reversal").values():
+        plot_reversal(slips, stress, bands.Reversal.of(seed), band, color="0.6", linewidth=0.8)
+    for (law, gradient), one in columns.items():
+        forth = {name: values[one["step"] < 3] for name, values in one.items()}
+        band = bands.measured_band(profile(forth))
+        style = {"color": f"C{list(LAWS).index(law)}", "linestyle": "-" if gradient == GRADIENTS[0] else "--"}
+        steady.plot(*bands.folded_shear(band), **style, label=f"{law}, l = {LAWS[law][1]:g} d" if gradient == GRADIENTS[0] else None)
+        if gradient == GRADIENTS[0]:
+            plot_reversal(slips, stress, bands.Reversal.of(one), band, **style)
+    steady.set(yscale="log", ylim=(1e-4, 0.4), xlim=(0, 12), xlabel="distance from the middle [d]", ylabel="shear strain per slip [1/d]",
+               title="steady")
+    steady.legend(frameon=False, fontsize=7.5)
+    slips.set(xlabel="slip after the reversal [d]", ylabel="slip outside the band [d]", title="a = 0.5, after the reversal")
+    stress.set(xlabel="slip after the reversal [d]", ylabel="shear stress over that before", title="a = 0.5, after the reversal")
+    return figure
+
+
+def plot_reversal(slips, stress, reversal, band, **style):
+    """Slip that is lost outside the band, and the shear stress, against slip."""
+    half = bands.half_height(band)
+    within = [np.diff(np.interp([-half, half], reversal.z, slip))[0] for slip in reversal.slip]
+    slips.plot(reversal.path, reversal.path - within, **style)
+    stress.plot(reversal.path, reversal.tau / band.tau, **style)
+
+
+if __name__ == "__main__":
+    main(out=fields.directory())

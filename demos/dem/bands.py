@@ -23,7 +23,7 @@ CELLS = 256                 # over half the height, a multiple of half the layer
 RATIOS = np.r_[np.linspace(0.01, 1, 60), np.linspace(1.02, 3, 60)]      # R
 CLOCK, INCREMENTS = 0.05, 200           # nonlocal strain of an increment; how many there are to a steady state
 LENGTHS = (0.1, 3.0)        # in diameters: where a length is looked for
-TAIL = 0.003                # of the largest shear: what is below counts as noise
+TAIL = 0.03                 # of the largest shear: what is below does not count, since it takes long to become steady
 SHARES = (0.05, 0.95)       # of the slip: between them are 90 %
 
 
@@ -140,11 +140,12 @@ def folded_shear(band):
 
 
 def width(band):
-    """Standard deviation of the band, and the height over which 90 % of the slip is lost; slip in the ends is left out."""
-    slip = (band.slip - band.slip[0]) / (band.slip[-1] - band.slip[0])
-    middles, parts = (band.z[1:] + band.z[:-1]) / 2, np.diff(slip)
-    deviation = np.sqrt((parts * middles**2).sum() - (parts * middles).sum() ** 2)
-    lower, upper = np.interp(SHARES, np.maximum.accumulate(slip), band.z)
+    """Standard deviation of the slip in the middle half of the height, and the height over which 90 % of all slip is lost."""
+    z, shear = folded_shear(band)
+    near = z < band.height / 4
+    deviation = np.sqrt((shear * z**2)[near].sum() / shear[near].sum())
+    share = (band.slip - band.slip[0]) / (band.slip[-1] - band.slip[0])
+    lower, upper = np.interp(SHARES, np.maximum.accumulate(share), band.z)
     return deviation, upper - lower
 
 
@@ -234,9 +235,13 @@ class Reversal:
 
 # ---- all -------------------------------------------------------------------------------------------------------------------
 
+LAWS = {"full": {"closure": "full", "elastic_strain": 0.01}, "kinematic": {"closure": "kinematic", "elastic_strain": 0.01},
+        "full dem-2026": {"closure": "full", "calibration": "dem-2026"},
+        "mobilised dem-2026": {"closure": "mobilised", "calibration": "dem-2026"}}
 MIDDLE = 0.97               # of the slip of steady shear is lost in what counts as the band
-EARLY = 3.0                 # slip after a reversal, in d
-STEADY = {"steady": "reversal", "slow": "slow"}         # programme with steady shear: that with the reversal after it
+CORE = 2.0                  # from the middle, in d: where phi is that of the band
+WINDOWS = ((0, 3), (3, 6), (6, 8))      # slip after a reversal, in d
+REVERSALS = {"steady": "reversal", "slow": "slow"}      # programme with steady shear: that with the reversal after it
 
 
 def half_height(band):
@@ -251,49 +256,64 @@ def seeds_of(folder, name):
     return {int(table.stem.rpartition("_s")[2]): read(table) for table in sorted(folder.glob(f"{name}_s[0-9]*.csv"))}
 
 
-def homogeneous_ratio(folder):
-    """-sigma_xz/sigma_zz without a gradient, of each seed."""
-    return np.array([-profile["sigma_xz"].mean() / profile["sigma_zz"].mean()
-                     for profile in seeds_of(folder / "gradient0", "homogeneous-profile").values()])
+def homogeneous(folder):
+    """-sigma_xz/sigma_zz and phi without a gradient: arrays over the seeds."""
+    return np.array([(-profile["sigma_xz"].mean() / profile["sigma_zz"].mean(), profile["phi"].mean())
+                     for profile in seeds_of(folder / "gradient0", "homogeneous-profile").values()]).T
 
 
-def rows_of(folder, frictions):
-    """What is found, a dict for each collected run of steady shear under a gradient.
+def of_steady(profile, frictions):
+    """What a profile of steady shear tells, by name.
 
     Parameters
     ----------
-    folder : Path
+    profile : dict of str to array
     frictions : dict of str to Friction
-        By closure.
     """
-    homogeneous = homogeneous_ratio(folder).mean()
+    band, pressures = measured_band(profile), Pressures.of(profile)
+    found = dict(zip(("deviation", "width"), width(band))) | {"decades": decades(band), "ratio": band.tau / pressures.at(0)}
+    found["phi"] = profile["phi"][abs(band.z) < CORE].mean()
+    for law, friction in frictions.items():
+        found[f"l {law}"], found[f"rms {law}"] = fit_length(profile, friction)
+        steady = steady_band(friction, found[f"l {law}"], pressures, len(band.z))
+        found[f"rise {law}"] = steady.tau / pressures.at(0) / friction.homogeneous
+    return found
+
+
+def of_reversal(reversal, band):
+    """What a reversal after a steady band tells, by name: shares of slip outside the band, and slips to shares of the old stress."""
+    windows = [window for window in WINDOWS if window[1] <= reversal.path[-1]]
+    found = {}
+    for start, end in windows:
+        for name, share in zip(("outside", "plastic outside"), reversal.outside(half_height(band), start, end)):
+            found[f"{name} {start}-{end}"] = share
+    return found | {f"slip to {share}": reversal.path_to(share, band.tau) for share in (0, -0.5, -0.9)}
+
+
+def summary(folder, frictions):
+    """Means over seeds of what bands tell, and standard deviations between them, for each gradient and programme."""
     for place in sorted(folder.glob("gradient0.*")):
-        for programme, reversal in STEADY.items():
-            reversals = seeds_of(place, reversal)
+        for programme, other in REVERSALS.items():
+            reversals, found = seeds_of(place, other), []
             for seed, profile in seeds_of(place, f"{programme}-profile").items():
-                band, pressures = measured_band(profile), Pressures.of(profile)
-                deviation, ninety = width(band)
-                row = {"gradient": pressures.gradient, "programme": programme, "seed": seed, "deviation": deviation, "width": ninety,
-                       "decades": decades(band), "ratio": band.tau / pressures.at(0) / homogeneous}
-                for closure, friction in frictions.items():
-                    length, difference = fit_length(profile, friction)
-                    predicted = steady_band(friction, length, pressures, len(band.z)).tau / pressures.at(0)
-                    row |= {f"l {closure}": length, f"rms {closure}": difference,
-                            f"ratio {closure}": predicted / friction.homogeneous}
+                found.append(of_steady(profile, frictions))
                 if seed in reversals:
-                    after, half = Reversal.of(reversals[seed]), half_height(band)
-                    for start, end in ((0, EARLY), (after.path[-1] - 2, after.path[-1])):
-                        row |= {f"outside {start:.0f}-{end:.0f}": after.outside(half, start, end)}
-                    row |= {"zero": after.path_to(0, band.tau), "most": after.path_to(-0.9, band.tau)}
-                yield row
+                    found[-1] |= of_reversal(Reversal.of(reversals[seed]), measured_band(profile))
+            if found:
+                names = [name for name in found[0] if all(name in one for one in found)]
+                values = np.array([[one[name] for name in names] for one in found])
+                yield (place.name, programme, len(found),
+                       {name: (column.mean(), column.std(ddof=len(found) > 1)) for name, column in zip(names, values.T)})
 
 
 def main():
-    frictions = {closure: Friction.of(Material(0.5, closure=closure, elastic_strain=0.01)) for closure in ("full", "kinematic")}
-    ratios = homogeneous_ratio(COLLECTED)
-    print(f"homogeneous ratio {ratios.mean():.4f}, {len(ratios)} packings, scatter {ratios.std(ddof=len(ratios) > 1):.4f}")
-    for row in rows_of(COLLECTED, frictions):
-        print("  ".join(f"{name} {value if isinstance(value, (str, int)) else np.round(value, 3)}" for name, value in row.items()))
+    frictions = {law: Friction.of(Material(0.5, **settings)) for law, settings in LAWS.items()}
+    for name, values in zip(("ratio", "phi"), homogeneous(COLLECTED)):
+        print(f"homogeneous {name}: {values.mean():.4f} +- {values.std(ddof=len(values) > 1):.4f}, {len(values)} packings")
+    for place, programme, packings, found in summary(COLLECTED, frictions):
+        print(f"\n{place} {programme}, {packings} packings")
+        for name, (mean, scatter) in found.items():
+            print(f"  {name:28} {mean:.3f} +- {scatter:.3f}")
 
 
 if __name__ == "__main__":
