@@ -32,10 +32,10 @@ SLIP = 0.1                                              # of an increment, in d
 CREEP = 3e-4                                            # m at the top per slip, as that of the grains; it would fall below round-off
 SIZE = 0.5                                              # of the cells, over the length
 GRADIENTS = (0.5, 0.3)
-LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.45),
-        "kinematic": (Material(0.5, closure="kinematic", elastic_strain=0.01), 0.58),
-        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.41)}
-SHORT = {"laws": {"full": (LAWS["full"][0], 1.5)}, "gradients": (0.5,), "size": 0.7, "back": 1.0}
+LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.41),
+        "kinematic": (Material(0.5, closure="kinematic", elastic_strain=0.01), 0.53),
+        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.39)}
+SHORT = {"laws": {"full": (LAWS["full"][0], 1.0)}, "gradients": (0.5,), "size": 0.7, "back": 1.0}
 
 
 def pressure_at(z, gradient):
@@ -111,15 +111,20 @@ def main(laws=LAWS, gradients=GRADIENTS, size=SIZE, back=BACK, out=None):
     columns = {}
     for (law, (material, length)), gradient in product(laws.items(), gradients):
         columns[law, gradient] = one = shear_column(material, length, gradient, round(HEIGHT / 2 / (size * length)), back)
-        forth = {name: values[one["step"] < 3] for name, values in one.items()}
-        steady, after = bands.measured_band(profile(forth)), bands.Reversal.of(one)
-        deviation, width = bands.width(steady)
-        found = bands.of_reversal(after, steady)
-        print(f"{law}, gradient {gradient}: deviation {deviation:.3f}, width {width:.3f}, "
-              + ", ".join(f"{name} {value:.3f}" for name, value in found.items()), flush=True)
+        steady = steady_profile(one)
+        band = bands.measured_band(steady)
+        found = dict(zip(("deviation", "width"), bands.width(band))) | bands.of_reversal(bands.Reversal.of(one), band)
+        found["length of the steady equation"], _ = bands.fit_length(steady, bands.Friction.of(material))
+        print(f"{law}, l = {length}, gradient {gradient}: " + ", ".join(f"{name} {value:.3f}" for name, value in found.items()),
+              flush=True)
     if out:
         fields.save(draw(columns), out, "grain-layer")
     return columns
+
+
+def steady_profile(columns):
+    """The profile before the reversal."""
+    return profile({name: values[columns["step"] < 3] for name, values in columns.items()})
 
 
 def draw(columns):
@@ -136,8 +141,7 @@ def draw(columns):
     for seed in bands.seeds_of(COLLECTED / "gradient0.5", "reversal").values():
         plot_reversal(slips, stress, bands.Reversal.of(seed), band, color="0.6", linewidth=0.8)
     for (law, gradient), one in columns.items():
-        forth = {name: values[one["step"] < 3] for name, values in one.items()}
-        band = bands.measured_band(profile(forth))
+        band = bands.measured_band(steady_profile(one))
         style = {"color": f"C{list(LAWS).index(law)}", "linestyle": "-" if gradient == GRADIENTS[0] else "--"}
         steady.plot(*bands.folded_shear(band), **style, label=f"{law}, l = {LAWS[law][1]:g} d" if gradient == GRADIENTS[0] else None)
         if gradient == GRADIENTS[0]:

@@ -23,7 +23,9 @@ DEM, COLLECTED = ROOT / "demos" / "dem", ROOT / "demos" / "data" / "ensemble"
 sys.path.insert(0, str(DEM))
 import collect  # noqa: E402
 import ensemble  # noqa: E402
+import gradient  # noqa: E402
 import normal_stresses  # noqa: E402
+import profiles  # noqa: E402
 import shear_run as run  # noqa: E402
 
 sys.path.remove(str(DEM))
@@ -377,3 +379,67 @@ def test_collected_runs_are_not_made_again(small, tmp_path):
     assert list(steady["rate"]) == [6e-4, 18e-4] and list(steady["seeds"]) == [1, 1]
     rows = (found["steady"]["step"] == 2) & (found["steady"]["gamma"] > 0.45 + 1e-6)
     assert steady["p"][0] == pytest.approx(found["steady"]["p"][rows].mean(), rel=1e-3)
+
+
+# ---- pressure that varies over the height ------------------------------------------------------------------------------------
+
+LAYERED = """
+mu = 0.5
+phi = 0.60
+number = 300
+edges = [5, 5, 12]
+diameters = [0.85, 1.15]
+rate = 3e-4
+pressure = 0.005
+[[steady]]
+shear = 0.5
+increments = 20
+control = "normal-load"
+[programme.reversal]
+step = [{shear = -0.2, increments = 10, control = "normal-load"}]
+[[runs]]
+programmes = ["reversal"]
+gradients = [0.5]
+seeds = [1]
+"""
+
+
+def test_every_run_under_a_gradient_has_a_place_of_its_own_and_starts_in_one_before_it():
+    runs = gradient.planned("runs", tomllib.loads(gradient.SETTINGS.read_text()))
+    assert len({one.table for one in runs.values()}) == len(runs) and all(one.plan for one in runs.values())
+    names = list(runs)
+    for name, one in runs.items():
+        if not isinstance(one.start, str):
+            assert names.index(f"{one.start.table.parent.name}/{one.start.table.stem}") < names.index(name)
+            assert one.start.gradient == one.gradient and one.start.seed == one.seed
+
+
+@pytest.mark.slow
+def test_layers_have_the_pressure_and_the_slip_that_they_should(python, tmp_path):
+    (tmp_path / "layered.toml").write_text(LAYERED)
+    command = [python, DEM / "gradient.py", tmp_path / "runs", "--settings", tmp_path / "layered.toml", "--collected", tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    assert done.returncode == 0 and "gradient0.5_s1 reversal: row 10 of 10" in done.stderr, done.stderr
+    found = {name: collect.read(tmp_path / "runs" / "gradient0.5_s1" / f"{name}.csv") for name in ("steady", "reversal")}
+    profile = profiles.profile(found["steady"])
+    height = found["steady"]["height"][-1]
+    cosine = np.cos(2 * np.pi * profile["z"] / height)
+    assert profile["sigma_zz"].mean() == pytest.approx(0.005, rel=0.03)
+    assert -2 * (profile["sigma_zz"] * cosine).mean() / 0.005 == pytest.approx(0.5, abs=0.08)
+    assert abs(profile["sigma_xz"] @ cosine) < 0.1 * abs(profile["sigma_xz"].sum())              # the shear stress is the same
+    lower, upper = np.searchsorted(profile["z"], [-height / 4, height / 4])
+    assert profile["slip"][-1] - profile["slip"][0] == pytest.approx(1, abs=0.05)
+    assert profile["slip"][upper] - profile["slip"][lower] > 0.7                                 # half of it if all sheared alike
+    tau = profiles.of_layers(found["steady"], "sigma_xz").mean(axis=1)
+    assert tau[10:].mean() == pytest.approx(found["steady"]["sigma_xz"][10:].mean(), rel=0.15)
+    for name, columns in found.items():
+        slip = profiles.of_layers(columns, "slip").sum(axis=0)
+        total = (np.diff(columns["gamma"], prepend=0) * columns["height"]).sum()
+        assert slip[-1] - slip[0] == pytest.approx(total, rel=0.06), name
+        assert profiles.of_layers(columns, "phi")[0].mean() == pytest.approx(columns["phi"][0], rel=1e-6), name
+        for axis in ("xx", "yy", "zz"):                         # at the start the layers are not yet means over time
+            assert profiles.of_layers(columns, f"sigma_{axis}")[0].mean() == pytest.approx(columns[f"sigma_{axis}"][0], rel=0.02,
+                                                                                           abs=2e-5), (name, axis)
+    assert found["reversal"]["sigma_zz"][0] == pytest.approx(found["steady"]["sigma_zz"][-1], rel=0.01)
+    kept = profiles.slips_only(found["steady"])
+    assert "slip_00" in kept and "phi" in kept and "phi_00" not in kept

@@ -241,6 +241,7 @@ LAWS = {"full": {"closure": "full", "elastic_strain": 0.01}, "kinematic": {"clos
 MIDDLE = 0.97               # of the slip of steady shear is lost in what counts as the band
 CORE = 2.0                  # from the middle, in d: where phi is that of the band
 WINDOWS = ((0, 3), (3, 6), (6, 8))      # slip after a reversal, in d
+TURNED = (0, -0.5, -0.9)    # of the stress before a reversal
 REVERSALS = {"steady": "reversal", "slow": "slow"}      # programme with steady shear: that with the reversal after it
 
 
@@ -287,7 +288,8 @@ def of_reversal(reversal, band):
     for start, end in windows:
         for name, share in zip(("outside", "plastic outside"), reversal.outside(half_height(band), start, end)):
             found[f"{name} {start}-{end}"] = share
-    return found | {f"slip to {share}": reversal.path_to(share, band.tau) for share in (0, -0.5, -0.9)}
+    return found | {f"slip to {share}": reversal.path_to(share, band.tau) for share in TURNED
+                    if reversal.tau.min() <= share * band.tau}
 
 
 def summary(folder, frictions):
