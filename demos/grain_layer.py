@@ -20,21 +20,21 @@ from mpi4py import MPI
 from granumat import STATE, Material, fem
 
 sys.path.insert(0, str(Path(__file__).parent / "dem"))
-import bands  # noqa: E402
-from collect import read  # noqa: E402
-from gradient import COLLECTED  # noqa: E402
-from layers import LAYERS, column  # noqa: E402
-from profiles import profile  # noqa: E402
+import bands
+from collect import read
+from gradient import COLLECTED
+from layers import LAYERS, column
+from profiles import profile
 
 HEIGHT, PRESSURE, PHI = 31.2, 0.005, 0.60               # of the whole box, in d and k/d
 START, FORTH, BACK = 3.1, 12.4, 8.1                     # slip of the whole box to steady shear, in it, and after the reversal, in d
 SLIP = 0.1                                              # of an increment, in d
-CREEP = 3e-4                                            # m at the top per slip, as that of the grains; it would fall below round-off
+CREEP = 3e-4                                            # m at the top per slip, as of the grains; else it falls below round-off
 SIZE = 0.5                                              # of the cells, over the length
 GRADIENTS = (0.5, 0.3)
-LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.40),
+LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.41),
         "kinematic": (Material(0.5, closure="kinematic", elastic_strain=0.01), 0.53),
-        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.39)}
+        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.4)}
 SHORT = {"laws": {"full": (LAWS["full"][0], 1.0)}, "gradients": (0.5,), "size": 0.7, "back": 1.0}
 
 
@@ -44,7 +44,7 @@ def pressure_at(z, gradient):
 
 # %%
 def shear_column(material, length, gradient, rows=62, back=BACK):
-    """A table as that of grains: steps, strain, height, stress, and the slip of the layers, of which the lower half mirrors the other."""
+    """A table as that of grains: steps, strain, height, stress, and the slip of the layers; the lower half mirrors the upper."""
     half, width = HEIGHT / 2, HEIGHT / 2 / rows
     mesh = fem.meshes.box(MPI.COMM_SELF, (width, half), (1, rows))
     heights = np.arange(1, rows) * width
@@ -140,14 +140,17 @@ def draw(columns):
     band = bands.measured_band(read(COLLECTED / "gradient0.5" / "steady-profile_mean.csv"))
     for seed in bands.seeds_of(COLLECTED / "gradient0.5", "reversal").values():
         plot_reversal(slips, stress, bands.Reversal.of(seed), band, color="0.6", linewidth=0.8)
+    slips.plot([], color="0.6", linewidth=0.8, label="packings of grains")
+    slips.legend(frameon=False, fontsize=7.5)
     for (law, gradient), one in columns.items():
         band = bands.measured_band(steady_profile(one))
         style = {"color": f"C{list(LAWS).index(law)}", "linestyle": "-" if gradient == GRADIENTS[0] else "--"}
-        steady.plot(*bands.folded_shear(band), **style, label=f"{law}, l = {LAWS[law][1]:g} d" if gradient == GRADIENTS[0] else None)
+        label = f"{law}, l = {LAWS[law][1]:g} d" if gradient == GRADIENTS[0] else None
+        steady.plot(*bands.folded_shear(band), **style, label=label)
         if gradient == GRADIENTS[0]:
             plot_reversal(slips, stress, bands.Reversal.of(one), band, **style)
-    steady.set(yscale="log", ylim=(1e-4, 0.4), xlim=(0, 12), xlabel="distance from the middle [d]", ylabel="shear strain per slip [1/d]",
-               title="steady")
+    steady.set(yscale="log", ylim=(1e-4, 0.4), xlim=(0, 12), xlabel="distance from the middle [d]",
+               ylabel="shear strain per slip [1/d]", title="steady")
     steady.legend(frameon=False, fontsize=7.5)
     slips.set(xlabel="slip after the reversal [d]", ylabel="slip outside the band [d]", title="a = 0.5, after the reversal")
     stress.set(xlabel="slip after the reversal [d]", ylabel="shear stress over that before", title="a = 0.5, after the reversal")

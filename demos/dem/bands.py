@@ -7,7 +7,6 @@ l^2 m'' = m (1 - R(tau/sigma_zz)); there is a steady state for one shear stress 
 """
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from collect import read
@@ -220,7 +219,7 @@ class Reversal:
         Returns
         -------
         tuple of float
-            Of all slip; and without the elastic slip, which goes with the change of stress by the slope at the start of the reversal.
+            Of all slip; and without the elastic slip, which goes with the stress by the slope at the start of the reversal.
         """
         height = (self.z[1] - self.z[0]) * len(self.z)
         edges = np.array([np.interp([-half, half], self.z, slip) for slip in self.slip])
@@ -272,7 +271,8 @@ def of_steady(profile, frictions):
     frictions : dict of str to Friction
     """
     band, pressures = measured_band(profile), Pressures.of(profile)
-    found = dict(zip(("deviation", "width"), width(band))) | {"decades": decades(band), "ratio": band.tau / pressures.at(0)}
+    found = dict(zip(("deviation", "width"), width(band)))
+    found |= {"decades": decades(band), "ratio": band.tau / pressures.at(0)}
     found["phi"] = profile["phi"][abs(band.z) < CORE].mean()
     for law, friction in frictions.items():
         found[f"l {law}"], found[f"rms {law}"] = fit_length(profile, friction)
@@ -282,7 +282,7 @@ def of_steady(profile, frictions):
 
 
 def of_reversal(reversal, band):
-    """What a reversal after a steady band tells, by name: shares of slip outside the band, and slips to shares of the old stress."""
+    """What a reversal after a steady band tells, by name: shares of slip outside it, and slips to shares of the stress before."""
     windows = [window for window in WINDOWS if window[1] <= reversal.path[-1]]
     found = {}
     for start, end in windows:

@@ -90,9 +90,19 @@ def collected(run, folder):
     return folder / run.table.parent.name.rpartition("_s")[0] / f"{run.table.stem}_s{run.seed}.csv"
 
 
-def main(description=__doc__.splitlines()[0], planned=planned, settings=SETTINGS, folder=COLLECTED):
-    """The program that makes runs; the arguments are those of an ensemble: its function `planned` and its places."""
-    parser = argparse.ArgumentParser(description=description)
+def main(description=__doc__, planned=planned, settings=SETTINGS, folder=COLLECTED):
+    """The program that makes runs.
+
+    Parameters
+    ----------
+    description : str
+        Its first line says what the program does.
+    planned : function of a folder and settings
+        All runs.
+    settings, folder : Path
+        What is taken if the command line names no others.
+    """
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("folder", type=Path, help="where runs are kept")
     parser.add_argument("--settings", type=Path, default=settings)
     parser.add_argument("--collected", type=Path, default=folder, help="data of runs that need not be made again")

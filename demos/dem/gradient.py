@@ -50,6 +50,6 @@ def planned(folder, settings):
 
 if __name__ == "__main__":
     try:
-        ensemble.main(__doc__.splitlines()[0], planned, SETTINGS, COLLECTED)
+        ensemble.main(__doc__, planned, SETTINGS, COLLECTED)
     except ValueError as error:
         sys.exit(f"gradient.py: {error}")

@@ -1,8 +1,8 @@
 """Spheres in a periodic box, moved by LAMMPS: packing, shear under the controls of load paths, and what is measured.
 
 Sphere diameter d, sphere mass m and normal contact stiffness k are 1: stresses are in k/d (in k_Hz for Hertzian contacts), time
-is in sqrt(m/k). Where diameters differ, d is their mean, and m the mass of a sphere of that diameter. Stresses are compression positive; x is the flow, y the vorticity, z the gradient. Sections and equations are
-those of Sun & Sundaresan (2011).
+is in sqrt(m/k). Where diameters differ, d is their mean, and m the mass of a sphere of that diameter. Stresses are compression
+positive; x is the flow, y the vorticity, z the gradient. Sections and equations are those of Sun & Sundaresan (2011).
 
 Needs the Python packages lammps and mpich, whose library of MPI the former is linked with.
 """

@@ -1,7 +1,7 @@
 """A box of spheres whose pressure varies over its height, and what each of its layers does.
 
-A body force along the gradient, that changes its sign in the middle of the periodic box and at its ends, makes the pressure least in
-the middle. The shear stress is the same everywhere, so that their ratio is known at every height; there are no walls.
+A body force along the gradient, that changes its sign in the middle of the periodic box and at its ends, makes the pressure least
+in the middle. The shear stress is the same everywhere, so that their ratio is known at every height; there are no walls.
 """
 
 import math
@@ -93,7 +93,7 @@ class LayeredSample(Sample):
         array[:self.number, 2] = force[names - 1]
 
     def _sampled(self, x, strain):
-        """QUANTITIES (quantities, layers) of the layers, of which slip is that since the spheres were at x, in a strain of the box."""
+        """QUANTITIES (quantities, layers): slip since the spheres were at x, in a strain of the box, and what else there is now."""
         (lx, ly, lz), tilt = self._box()
         moved = self._of_spheres("x") - x
         turns = np.round(moved[:, 2] / lz)              # through the top and bottom, where images of spheres move

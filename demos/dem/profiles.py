@@ -16,7 +16,7 @@ from ensemble import collected
 from gradient import COLLECTED, SETTINGS, planned
 from layers import LAYERS, QUANTITIES, column
 
-SETTLING = 1 / 3            # part of the last step of steady shear that does not count, since far from the band it is not steady yet
+SETTLING = 1 / 3            # part of the last step of steady shear that does not count: far from the band it is not steady yet
 
 
 def of_layers(columns, quantity):
