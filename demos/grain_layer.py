@@ -34,7 +34,7 @@ SIZE = 0.5                                              # of the cells, over the
 GRADIENTS = (0.5, 0.3)
 LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.41),
         "kinematic": (Material(0.5, closure="kinematic", elastic_strain=0.01), 0.53),
-        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.4)}
+        "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.39)}
 SHORT = {"laws": {"full": (LAWS["full"][0], 1.0)}, "gradients": (0.5,), "size": 0.7, "back": 1.0}
 
 
