@@ -24,6 +24,7 @@ sys.path.insert(0, str(DEM))
 import collect  # noqa: E402
 import ensemble  # noqa: E402
 import gradient  # noqa: E402
+import grains  # noqa: E402
 import normal_stresses  # noqa: E402
 import profiles  # noqa: E402
 import shear_run as run  # noqa: E402
@@ -94,7 +95,7 @@ def test_stresses_that_are_held_must_be_given():
 
 
 def test_columns_are_those_of_a_history_and_the_contacts_of_all_spheres():
-    columns = ("step", "gamma", "gamma_total", *run.COLUMNS)
+    columns = ("step", "gamma", "gamma_total", *grains.COLUMNS)
     assert [name for name in COLUMNS if name in columns] == [name for name in columns if name != "Z"]
 
 
@@ -120,8 +121,8 @@ def made(folder, seed, **settings):
     one.table.parent.mkdir()
     one.state.touch()
     one.record.write_text(f'mu = 0.5\nphi = 0.6\nseed = {seed}\nnormal_stress = {list(one.normal_stress)}\n')
-    values = {name: np.full(2, float(seed)) for name in run.COLUMNS} | {"step": [0, 1], "gamma": [0, -1], "gamma_total": [0, 1]}
-    collect.write(one.table, {name: np.array(values[name], float) for name in ("step", "gamma", "gamma_total", *run.COLUMNS)})
+    values = {name: np.full(2, float(seed)) for name in grains.COLUMNS} | {"step": [0, 1], "gamma": [0, -1], "gamma_total": [0, 1]}
+    collect.write(one.table, {name: np.array(values[name], float) for name in ("step", "gamma", "gamma_total", *grains.COLUMNS)})
     return one
 
 
