@@ -80,7 +80,7 @@ class Axis:
 CLOSURES = ("full", "n2", "basic", "critical")
 MU_FACTOR = 1.1                     # by which mu is known at best
 ELASTIC_FACTOR = 3.0                # the same for e_r, which the paper does not have
-LENGTH_FACTOR = 1.3                 # the same for the length of a scene, which docs/length.md has from grains
+LENGTH_FACTOR = 1.25                # the same for the length of a scene, docs/length-and-grains.md
 
 
 def with_material(content: Content, **values: Any) -> Content:
