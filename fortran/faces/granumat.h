@@ -199,6 +199,30 @@ void granumat_element_coupling(int d, int nodes, int vertices, int points, int c
                                const double *volume, const double *old_volume, const double *L, const double *by_nonlocal,
                                const double *matrix, double scale, double *K);
 
+/* ---- State on a mesh that does not follow the material ---- */
+
+/* Cells of `nodes` = 2^d nodes and as many Gauss points, both in tensor order: bit k of a node's number, from 0, is its reference
+ * coordinate along k. Face 2 k is where coordinate k is 0, face 2 k + 1 where it is 1. A point has 24 numbers: the 20 of
+ * granumat_state in their order, of which phi is convected as the density of the solid and all others by its mass, and four more.
+ * neighbour[cell][face] is the cell beyond, counted from 1, 0 where the body ends; those above `cells`, up to all_cells, have values
+ * only. opposite[cell][face][q][0 and 1] are the neighbour's near and far point, counted from 1, at point q of the face.
+ * wall[cell][face] is 1 where no solid passes. */
+
+/* The ranges (76 numbers a cell) that granumat_convection_stage keeps values within, from values[cell][q][24] before the step. */
+void granumat_convection_ranges(int d, int nodes, int cells, int all_cells, const double *x, const int *neighbour,
+                                const double *values, double *range);
+
+/* A stage of the step from a mesh at x_start[cell][node][k] to one at x_end. First with share 0 and stage = start, then with share
+ * 0.5 and stage what came out, which together are of second order: out = share start + (1 - share) (stage + what the step brings).
+ * fabric_limit is what A : A may become at least. A step sweeps at most 0.15 of a cell; see granumat_swept_volumes. */
+void granumat_convection_stage(int d, int nodes, int cells, int all_cells, double share, double fabric_limit,
+                               const double *x_start, const double *x_end, const int *neighbour, const int *opposite,
+                               const int *wall, const double *range, const double *start, const double *stage, double *out);
+
+/* Of each cell the larger of the volumes that it gains and loses between x_start and x_end, over its volume; huge where it is
+ * inverted. */
+void granumat_swept_volumes(int d, int nodes, int cells, const double *x_start, const double *x_end, double *swept);
+
 /* ---- What this machine can do ---- */
 
 /* Does 192 additions and multiplications a round in registers, to measure other arithmetic against. */

@@ -9,7 +9,8 @@ module granumat_c
     granumat_update_states_with_tangent, granumat_update_nonlocal_states, granumat_update_nonlocal_states_with_tangent, &
     granumat_update_states_by_method, granumat_follow_path, granumat_transverse_modulus, granumat_response, &
     granumat_least_acoustic, granumat_element_gradients, granumat_element_forces, granumat_element_stiffness, &
-    granumat_element_helmholtz, granumat_element_coupling, granumat_arithmetic
+    granumat_element_helmholtz, granumat_element_coupling, granumat_convection_ranges, granumat_convection_stage, &
+    granumat_swept_volumes, granumat_arithmetic
 
   integer(c_int), parameter, public :: GRANUMAT_CRITICAL = 0, GRANUMAT_BASIC = 1, GRANUMAT_N2 = 2, GRANUMAT_FULL = 3, &
     GRANUMAT_KINEMATIC = 4, GRANUMAT_MOBILISED = 5, GRANUMAT_MOBILISED_PRESSURE = 6
@@ -245,6 +246,35 @@ module granumat_c
       real(c_double), value, intent(in) :: scale
       real(c_double), intent(inout) :: K((d + 1) * nodes, (d + 1) * nodes, cells)
     end subroutine granumat_element_coupling
+
+    subroutine granumat_convection_ranges(d, nodes, cells, all_cells, x, neighbour, values, range) bind(c)
+      import :: c_double, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: d, nodes, cells, all_cells
+      real(c_double), intent(in) :: x(d, nodes, cells), values(24, nodes, all_cells)
+      integer(c_int), intent(in) :: neighbour(2 * d, cells)
+      real(c_double), intent(out) :: range(76, cells)
+    end subroutine granumat_convection_ranges
+
+    subroutine granumat_convection_stage(d, nodes, cells, all_cells, share, fabric_limit, x_start, x_end, neighbour, opposite, &
+        wall, range, start, stage, out) bind(c)
+      import :: c_double, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: d, nodes, cells, all_cells
+      real(c_double), value, intent(in) :: share, fabric_limit
+      real(c_double), intent(in) :: x_start(d, nodes, cells), x_end(d, nodes, cells), range(76, cells)
+      integer(c_int), intent(in) :: neighbour(2 * d, cells), opposite(2, nodes, 2 * d, cells), wall(2 * d, cells)
+      real(c_double), intent(in) :: start(24, nodes, all_cells), stage(24, nodes, all_cells)
+      real(c_double), intent(out) :: out(24, nodes, cells)
+    end subroutine granumat_convection_stage
+
+    subroutine granumat_swept_volumes(d, nodes, cells, x_start, x_end, swept) bind(c)
+      import :: c_double, c_int
+      implicit none (type, external)
+      integer(c_int), value, intent(in) :: d, nodes, cells
+      real(c_double), intent(in) :: x_start(d, nodes, cells), x_end(d, nodes, cells)
+      real(c_double), intent(out) :: swept(cells)
+    end subroutine granumat_swept_volumes
 
     subroutine granumat_arithmetic(rounds, total) bind(c)
       import :: c_double, c_int

@@ -175,10 +175,10 @@ def test_a_body_that_is_unjammed_stops_with_words_unless_told_to_go_on():
             fem.Displacement(at(1, 0), components=[1]),
             fem.Displacement(at(1, 1), lambda x, t: [0, 0.01 * t], components=[1])], motion="boundary")
     problem = stretched()
-    with pytest.raises(fem.SolveError, match=r"100% of the body is unjammed at t = .* arbitrary.* give unjammed"):
+    with pytest.raises(fem.SolveError, match=r"[1-9]\d*% of the body is unjammed at t = .* arbitrary.* give unjammed"):
         fem.run(problem, 4, 1.0)
-    assert problem.t < 4 and problem.unjammed_share() == 1
-    assert fem.cell_fields(problem)["unjammed"] == pytest.approx(1)
+    assert problem.t < 4 and problem.unjammed_share() > 0.02
+    assert fem.cell_fields(problem)["unjammed"].mean() == pytest.approx(problem.unjammed_share())      # cells of equal volume
     problem = stretched()
     fem.run(problem, 4, 1.0, unjammed=1)
     assert problem.t == 4
