@@ -285,7 +285,7 @@ final = [order.gather(values) for values in (
     problem.states.view(float).reshape(problem.cells, -1), problem.body.at_cells(problem.displacement).reshape(problem.cells, -1),
     problem.shear_strain.reshape(problem.cells, -1), problem.volume_strain.reshape(problem.cells, -1))]
 if MPI.COMM_WORLD.rank == 0:
-    print(repr(torque))
+    print(repr(float(torque)))
     for values in final:
         print(*map(repr, values.ravel().tolist()))
 """
