@@ -15,6 +15,8 @@ import annulus  # noqa: E402
 import regularisation  # noqa: E402
 import where_it_fails  # noqa: E402
 
+pytestmark = pytest.mark.release_only
+
 
 def turned(rings=3, sectors=12, turn=0.03, back=0.015, increment=0.0075, **more):
     problem, inner = annular_cell.ring(annulus.SAND, rings, sectors, turn, **more)
@@ -29,7 +31,6 @@ def whole():
 
 
 @pytest.mark.slow
-@pytest.mark.release_only
 def test_turning_and_turning_back_follows_the_radial_solution(tmp_path):
     data = annulus.main(**annulus.SHORT, out=tmp_path)    # asserts torque, iterations, scatter
     assert (tmp_path / "annulus.png").exists()
@@ -56,7 +57,6 @@ def test_torque_is_of_second_order_before_shear_localises():
     assert errors[1] < 1e-3
 
 
-@pytest.mark.release_only
 def test_sheared_zone_is_one_ring_of_cells_on_any_mesh():
     for rings, (_, _, width) in annulus.refine((4, 8), 8).items():
         assert width == pytest.approx(1 / rings, rel=0.15)
@@ -80,7 +80,6 @@ def test_hexahedra_between_two_planes_agree_with_quadrilaterals(whole):
 
 
 @pytest.mark.slow
-@pytest.mark.release_only
 def test_without_an_elastic_strain_full_needs_a_length_which_does_not_suit_basic(tmp_path):
     rows = where_it_fails.main(**where_it_fails.SHORT, out=tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {"where_it_fails.csv", "where_it_fails.png"}
@@ -95,7 +94,6 @@ def test_without_an_elastic_strain_full_needs_a_length_which_does_not_suit_basic
 
 
 @pytest.mark.slow
-@pytest.mark.release_only
 def test_only_a_rate_term_or_a_length_gives_the_sheared_zone_a_width_and_the_length_costs_less(tmp_path):
     rows = regularisation.main(**regularisation.SHORT, out=tmp_path)         # asserts the widths
     assert {path.name for path in tmp_path.iterdir()} == {"regularisation.csv", "regularisation.png"}
@@ -105,7 +103,6 @@ def test_only_a_rate_term_or_a_length_gives_the_sheared_zone_a_width_and_the_len
     assert fast[1]["torque"] > smooth[1]["torque"] > 1.3 * neither[1]["torque"] and smooth[1]["width"] > 1.3 * fast[1]["width"]
 
 
-@pytest.mark.release_only
 def test_scatter_around_the_ring_is_that_of_skewed_cells():
     skewed, narrow, straight = (turned(8, 1, 0.12, 0.015, part=1 / sectors, twist=twist)["scatter_points"]
                                 for sectors, twist in ((36, 0), (72, 0), (36, 0.07)))

@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "demos"))
 import annular_cell
 import annulus
 
+pytestmark = pytest.mark.release_only
 SAND = Material(mu=0.5, elastic_strain=0.01)
 DENSE = SAND.isotropic(0.60, pressure=0.01)
 
@@ -63,7 +64,6 @@ def test_the_ring_has_the_torque_of_a_mesh_that_moves_with_the_material(wall, mo
 
 
 @pytest.mark.slow
-@pytest.mark.release_only
 @pytest.mark.parametrize("wall, motion", [("volume", "fixed"), ("load", "boundary")])
 def test_a_ring_turns_for_radians_and_back_as_the_radial_solution(wall, motion):
     turn, back, rings, increment = 4.0, 1.0, 10, 0.005

@@ -164,6 +164,7 @@ def whole():
     return turned()[0].columns()
 
 
+@pytest.mark.release_only
 def test_newton_converges_quadratically_and_needs_no_increment_cut(whole):
     watch, _ = turned()
     assert len(watch.residuals) == 9
@@ -172,12 +173,14 @@ def test_newton_converges_quadratically_and_needs_no_increment_cut(whole):
         assert second < 200 * first**1.5 and third < max(200 * second**2, 1e-12)
 
 
+@pytest.mark.release_only
 def test_periodic_sides_that_turn_tie_m_without_turning_it(whole):
     part = turned(sectors=1, part=1 / 12)[0].columns()
     for name in ("torque", "pressure", "phi"):
         assert part[name] == pytest.approx(whole[name], rel=1e-9), name
 
 
+@pytest.mark.release_only
 @pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("quadrilateral", 2), ("hexahedron", 1), ("tetrahedron", 2)])
 def test_cells_of_each_kind_agree_in_the_ring(cell, degree, whole):
     found = turned(cell=cell, degree=degree)[0].columns()
@@ -221,6 +224,7 @@ for cell, degree in (("triangle", 2), ("hexahedron", 1), ("tetrahedron", 1)):
     assert two == pytest.approx(one, rel=1e-7)
 
 
+@pytest.mark.release_only
 def test_a_resumed_run_is_the_one_that_went_on(tmp_path):
     def problem():
         return annular_cell.ring(SAND, 4, 1, 0.03, part=1 / 12, length=0.2)[0]
@@ -239,6 +243,7 @@ def test_a_resumed_run_is_the_one_that_went_on(tmp_path):
         fem.resume(checkpoint.path, annular_cell.ring(SAND, 4, 1, 0.03, part=1 / 12, length=0.1)[0])
 
 
+@pytest.mark.release_only
 @pytest.mark.slow
 def test_torque_and_width_of_the_ring_settle_at_those_of_the_radial_solution():
     watch, _ = turned(16, 1, 0.12, 0.08, 0.002, length=0.05, part=1 / 48)
@@ -273,6 +278,7 @@ def sheared_box(cells, noise, until, **more):
     return max(local[y == row].std() / local[y == row].mean() for row in np.unique(y)) / noise
 
 
+@pytest.mark.release_only
 def test_errors_of_the_packing_grow_without_a_length_and_not_with_one():
     assert sheared_box(16, 1e-6, 0.6, length=0.05) < 1
     assert sheared_box(16, 1e-6, 0.6) > 10
@@ -305,6 +311,7 @@ def test_a_closure_that_a_length_does_not_suit_is_warned_of():
         fem.Problem(fem.meshes.box(MPI.COMM_WORLD, (1, 1), (2, 2)), sand, sand.isotropic(0.6, pressure=0.01), length=0.1)
 
 
+@pytest.mark.release_only
 def test_a_scene_has_its_length_in_the_problem_and_records_the_nonlocal_strain(tmp_path):
     path = tmp_path / "ring.toml"
     path.write_text(scenes.RING.replace("[run]", "[problem]\nlength = 0.1\n[run]"))
@@ -317,6 +324,7 @@ def test_a_scene_has_its_length_in_the_problem_and_records_the_nonlocal_strain(t
     assert np.ptp(R) > 1e-3 and m.min() > 0
 
 
+@pytest.mark.release_only
 def test_with_degree_2_and_gravity_a_layer_and_a_sector_are_the_whole(tmp_path):
     for text, key, more in ((scenes.BOX, "layer", "degree = 2\ngravity = [0, -1e-3]\n"), (scenes.RING, "sector", "")):
         found = []
@@ -330,6 +338,7 @@ def test_with_degree_2_and_gravity_a_layer_and_a_sector_are_the_whole(tmp_path):
             np.testing.assert_allclose(found[1][column], found[0][column], rtol=1e-8, atol=1e-10, err_msg=column)
 
 
+@pytest.mark.release_only
 def test_the_demo_shows_a_width_that_the_mesh_does_not_change(tmp_path):
     rows = demo_of_length.main(**demo_of_length.SHORT, out=tmp_path)                         # asserts the widths and torques
     assert {path.name for path in tmp_path.iterdir()} == {"length.csv", "length.png"}
@@ -337,6 +346,7 @@ def test_the_demo_shows_a_width_that_the_mesh_does_not_change(tmp_path):
     assert all(row["iterations"] < other["iterations"] for row, other in zip(with_length, without, strict=True))
 
 
+@pytest.mark.release_only
 def test_solvers_that_fail_are_followed_by_others_that_give_the_same(monkeypatch):
     def torque():
         return turned(3, 9, 0.015, 0.01, length=0.3, cell="hexahedron")[0].columns()["torque"]

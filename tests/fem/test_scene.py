@@ -17,6 +17,7 @@ from support import scenes
 from support.ranks import ENVIRONMENT, on_ranks
 from support.scenes import BOX, faults, replaced, solved, written
 
+pytestmark = pytest.mark.release_only
 ROOT = Path(__file__).parents[2]
 
 
@@ -179,7 +180,6 @@ def test_every_fault_of_a_file_comes_in_one_message(tmp_path):
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "demos/scenes").glob("*.toml")), ids=lambda path: path.stem)
-@pytest.mark.release_only
 def test_two_increments_of_the_scenes_of_the_demos_run_on_coarse_meshes(tmp_path, path):
     content = read_toml(path)
     end = content["run"]["until"] = 2 * content["run"]["increment"]
@@ -213,7 +213,6 @@ def granumat(cwd, *arguments, ranks=1):
 
 
 @pytest.mark.slow
-@pytest.mark.release_only
 def test_the_command_stops_with_words_and_goes_on_from_there(tmp_path):
     text = RING.replace("[10, 0.02]", "[2, 0.004], [2.1, 3]").replace("increment = 1", "increment = 1\nsmallest = 0.05")
     written(tmp_path, text)

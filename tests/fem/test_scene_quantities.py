@@ -10,6 +10,7 @@ from granumat.quantities import Quantity, read_values
 from support import scenes
 from support.scenes import faults, read_table, solved, written
 
+pytestmark = pytest.mark.release_only
 RING = scenes.RING + """
 [output]
 probes = { wall = [1.1, 0] }
