@@ -65,6 +65,7 @@ def test_30_000_random_property_sets_states_and_increments(rng):
     assert (seen[[0, 1, 2, 3, 4, 5, 6, 7]] > 0).all(), seen          # every status was met, and success
 
 
+@pytest.mark.slow
 def test_5_000_random_property_sets_states_and_increments(rng):
     seen = statuses_of_random_input(rng, 5_000)
     assert (seen[[0, 1, 2, 3, 6]] > 0).all(), seen

@@ -38,6 +38,7 @@ def test_every_figure_is_written_under_its_number(tmp_path):
         assert path.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and path.stat().st_size > 20_000, path.name
 
 
+@pytest.mark.slow
 def test_chosen_figures_are_written_in_the_order_asked_for(tmp_path):
     assert figures.draw_figures(tmp_path, [16, "5"]) == [tmp_path / "figure-16.png", tmp_path / "figure-05.png"]
     assert len(list(tmp_path.iterdir())) == 2

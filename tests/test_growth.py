@@ -81,6 +81,7 @@ def test_the_fault_is_a_sentence_that_names_the_closures_to_take():
         Material(0.5).length_fault(1)
 
 
+@pytest.mark.slow
 def test_the_files_hold_every_map(tmp_path, monkeypatch):
     monkeypatch.setattr(growth, "CLOSURES", ("basic", "kinematic"))
     monkeypatch.setattr(growth, "WAVE_NUMBERS", np.geomspace(0.1, 1000, 9))

@@ -327,6 +327,7 @@ def test_after_a_reversal_critical_is_refused_and_basic_accepted_for_p_but_not_f
     assert "not against grains" in words and "below the floor" in words
 
 
+@pytest.mark.slow
 def test_after_a_strain_of_1_critical_is_accepted_for_p_and_ratio(tmp_path):
     file = path_file(tmp_path, START_UP, "[0.5, 1]", "p", "stress_ratio")
     report = ladder.climb(file, 0.05, tmp_path / "out")
@@ -355,6 +356,7 @@ def test_the_recommended_file_runs_and_its_error_is_the_printed_one(tmp_path):
     assert tomllib.loads(text)["quantity"][0]["name"] == "p"
 
 
+@pytest.mark.slow
 def test_a_real_kill_loses_nothing(tmp_path):
     file = path_file(tmp_path, REVERSAL, [1.25, 2], "p", "stress_ratio")
     command = [sys.executable, "-m", "granumat", "ladder", str(file), "--tolerance", "0.05", "--out", str(tmp_path / "out")]

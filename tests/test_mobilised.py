@@ -57,6 +57,7 @@ def test_error_is_below_1e_12_for_shear_up_to_0_02(closure, contact):
     assert max(errors(closure, 1, 250, 0.02, 0.01, contact, excess=(0.4, 1.2)).values()) < 1e-12
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elastic_strain", [0.003, 0.02, 0.1])
 def test_error_is_below_1e_11_for_shear_up_to_0_3(closure, elastic_strain):
     assert max(errors(closure, 2, 100, 0.3, elastic_strain, volume=0.1, excess=(0.9, 1.5)).values()) < 1e-11

@@ -31,6 +31,7 @@ def pressure(demo):
     return at_reversals
 
 
+@pytest.mark.slow
 def test_the_table_of_the_page_is_what_the_demo_computes(demo, tmp_path):
     lines = demo["main"](tmp_path)
     assert "\n".join(lines) in PAGE

@@ -46,6 +46,7 @@ def test_where_friction_turns_the_stiffness_in_compression_takes_the_shear_stres
     np.testing.assert_allclose(compression, compression[:3].mean() * ratio, rtol=0, atol=1e-9 * compression[0])
 
 
+@pytest.mark.slow
 @pytest.mark.release_only
 def test_the_command_writes_curves_table_and_picture(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(wellposed, "MUS", (0.1, 0.5))

@@ -95,6 +95,7 @@ def test_hexahedra_between_two_planes_agree_with_quadrilaterals():
     assert abs(problem.displacement - problem.last.u).max() < 1e-15
 
 
+@pytest.mark.slow
 def test_what_slips_along_a_turning_wall_turns_with_it_for_ever():
     """A ring that a rough wall takes with it inside a smooth one: rigid rotation, on a mesh that stays."""
     ring = fem.meshes.annulus(MPI.COMM_WORLD, (1, 2), (3, 36))

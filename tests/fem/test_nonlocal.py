@@ -180,6 +180,7 @@ def test_periodic_sides_that_turn_tie_m_without_turning_it(whole):
         assert part[name] == pytest.approx(whole[name], rel=1e-9), name
 
 
+@pytest.mark.slow
 @pytest.mark.release_only
 @pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("quadrilateral", 2), ("hexahedron", 1), ("tetrahedron", 2)])
 def test_cells_of_each_kind_agree_in_the_ring(cell, degree, whole):

@@ -128,6 +128,7 @@ def test_plane_strain_is_the_box(tmp_path, across):
     assert largest_difference(without(whole, "front|back|probe.* y"), without(part, "probe.* y")) < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("initial", ['state = "K0"\nphi = 0.60\npressure = 0.007\nK0 = 0.8', 'state = "steady"\nphi = 0.60'])
 def test_an_initial_state_has_the_axes_of_the_whole_box(tmp_path, initial):
     text = replaced(BOX, BOX_IN_SPACE).replace('state = "isotropic"\nphi = 0.60\npressure = 0.007', initial)

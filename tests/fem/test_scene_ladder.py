@@ -63,6 +63,7 @@ def test_a_ring_becomes_a_graded_sector_whose_error_is_the_printed_one(tmp_path,
     assert (tmp_path / "out/ladder.png").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mu, is_noisy", [(0.1, True), (0.5, False)])
 def test_a_symmetry_is_checked_with_noise_where_the_transverse_modulus_becomes_negative(tmp_path, mu, is_noisy):
     content = read_toml(ROOT / "demos/scenes/shear-box.toml")
