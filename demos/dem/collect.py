@@ -164,13 +164,25 @@ def _settings(record):
     return SEEDS.sub("", record.read_text())
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+def main(description=__doc__, planned=planned, settings=SETTINGS, folder=COLLECTED, collect=collect):
+    """The program that collects runs.
+
+    Parameters
+    ----------
+    description : str
+        Its first line says what the program does.
+    planned : function of a folder and settings
+        All runs.
+    settings, folder : Path
+        What is taken if the command line names no others.
+    collect : function of a list of Run and a folder
+    """
+    parser = argparse.ArgumentParser(description=description.splitlines()[0])
     parser.add_argument("runs", type=Path, help="folder of the runs")
-    parser.add_argument("--folder", type=Path, default=COLLECTED, help="folder of the collected data")
-    parser.add_argument("--settings", type=Path, default=SETTINGS)
+    parser.add_argument("--folder", type=Path, default=folder, help="folder of the collected data")
+    parser.add_argument("--settings", type=Path, default=settings)
     arguments = parser.parse_args()
-    collect(planned(arguments.runs, tomllib.loads(arguments.settings.read_text())).values(), arguments.folder)
+    collect(list(planned(arguments.runs, tomllib.loads(arguments.settings.read_text())).values()), arguments.folder)
 
 
 if __name__ == "__main__":

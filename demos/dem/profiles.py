@@ -5,13 +5,11 @@
 Runs that were collected before stay, and count in the means.
 """
 
-import argparse
 import sys
-import tomllib
-from pathlib import Path
 
+import collect
 import numpy as np
-from collect import collect, over_seeds, read, write
+from collect import over_seeds, read, write
 from ensemble import collected
 from gradient import COLLECTED, SETTINGS, planned
 from layers import LAYERS, QUANTITIES, column
@@ -63,19 +61,14 @@ def collect_profiles(runs, folder):
                 write(name.with_name(f"{name.name}_{kind}.csv"), columns)
 
 
-def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("runs", type=Path, help="folder of the runs")
-    parser.add_argument("--folder", type=Path, default=COLLECTED, help="folder of the collected data")
-    parser.add_argument("--settings", type=Path, default=SETTINGS)
-    arguments = parser.parse_args()
-    runs = planned(arguments.runs, tomllib.loads(arguments.settings.read_text())).values()
-    collect(runs, arguments.folder, slips_only)
-    collect_profiles(runs, arguments.folder)
+def collect_all(runs, folder):
+    """Histories with the slip of every layer, and profiles."""
+    collect.collect(runs, folder, slips_only)
+    collect_profiles(runs, folder)
 
 
 if __name__ == "__main__":
     try:
-        main()
+        collect.main(__doc__, planned, SETTINGS, COLLECTED, collect_all)
     except ValueError as error:
         sys.exit(f"profiles.py: {error}")
