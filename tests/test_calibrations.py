@@ -33,6 +33,12 @@ def test_constants_are_those_of_the_file_and_linear_between_two_mu(file):
     assert Material(0.2, calibration=str(file))["phic"] == pytest.approx(0.612 - 0.25 * 0.035, rel=1e-14)
 
 
+def test_a_file_that_is_written_anew_is_read_anew(file):
+    Material(0.5, calibration=str(file))
+    file.write_text(file.read_text().replace("0.577", "0.578"))
+    assert Material(0.5, calibration=str(file))["phic"] == 0.578
+
+
 def test_constants_that_are_given_come_before_those_of_the_file(file):
     assert Material(0.5, calibration=str(file), phic=0.58)["phic"] == 0.58
 

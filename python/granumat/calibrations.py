@@ -17,13 +17,14 @@ Between two mu constants are linear. Tables of the name of a closure, such as `[
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .checks import choose, is_finite_number, is_number, refuse
-from .toml import read_toml, tables_of
+from .toml import parse_toml, tables_of
 
 COMMON = "constants"        # table of the closures that have none of their own
 NOTES = ("fitted", "provenance")
@@ -65,7 +66,7 @@ def read_constants(filename: str | Path, mu: float, contact: str, closure: str, 
     OSError
         If the file cannot be read.
     """
-    content = read_toml(filename)
+    content = _content(filename, Path(filename).read_bytes())
     faults: list[str] = []
     for name in content:
         if name not in (tables := ("contact", COMMON, *closures, *NOTES)):
@@ -90,6 +91,12 @@ def read_constants(filename: str | Path, mu: float, contact: str, closure: str, 
         faults.append(f"has constants for contact = {content['contact']!r}, not for {contact!r}")
     refuse(f"{filename} cannot be used", faults)
     return {name: float(np.interp(mu, known, [row[name] for row in rows])) for name in rows[0] if name != "mu"}
+
+
+@lru_cache(maxsize=8)
+def _content(filename: str | Path, text: bytes) -> dict[str, Any]:
+    """What a file says, for reading only: a file that still says the same, as for many materials in a row, is parsed once."""
+    return parse_toml(filename, text)
 
 
 def _faults_of_row(row: dict[str, Any], first: dict[str, Any], allowed: Sequence[str]) -> list[str]:

@@ -12,11 +12,15 @@ from .files import replacing
 
 def read_toml(filename: str | Path) -> dict[str, Any]:
     """What a TOML file says; ValueError if it is not one."""
-    with open(filename, "rb") as file:
-        try:
-            return tomllib.loads(file.read().decode("utf-8-sig"))        # editors may begin UTF-8 with a mark of it
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-            raise ValueError(f"{filename}: not a TOML file: {error}") from None
+    return parse_toml(filename, Path(filename).read_bytes())
+
+
+def parse_toml(filename: str | Path, text: bytes) -> dict[str, Any]:
+    """What the text of a TOML file says; ValueError, with the name of the file, if it is not one."""
+    try:
+        return tomllib.loads(text.decode("utf-8-sig"))        # editors may begin UTF-8 with a mark of it
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{filename}: not a TOML file: {error}") from None
 
 
 def table_of(content: Mapping[str, Any], name: str) -> dict[str, Any]:
