@@ -49,12 +49,10 @@ def parts(gradient):
     return d, w, s, magnitude(d), magnitude(s), tr
 
 
-def model_stress(c, fabric, z2, gradient, contact="hookean"):
-    """Pressure (4.2)/(4.4) and sigma' (A 4), compression positive."""
-    _, _, s, mod_d, _, tr = parts(gradient)
-    s_hat = scale(1 / mod_d, s)
+def model_stress(c, fabric, z2, s_hat, expansion, contact):
+    """Pressure (4.2)/(4.4) and sigma' (A 4), compression positive, of S^ and tr D^."""
     x = double_dot(fabric, s_hat)
-    p = (c["a1"] + c["a2"] * magnitude(fabric) + c["g"] * tr / mod_d) * np.maximum(z2 - c["Zc"], 0) ** 2
+    p = (c["a1"] + c["a2"] * magnitude(fabric) + c["g"] * expansion) * np.maximum(z2 - c["Zc"], 0) ** 2
     if contact == "hertzian":
         p = p ** 1.5
     eta = c["b1"] + c["b2"] * x + c["b3"] * x**2
@@ -74,6 +72,7 @@ def integrate(c, fabric, z2, phi, gradient, deviator=None, contact="hookean", rt
     c1, c2, c3 = c["c1"], c["c2"], c["c3"]
     chi = -(c2 + np.sqrt(c2**2 - 8 * c1 * c3)) / (2 * c3)
     relaxing = c["elastic_strain"] > 0
+    s_hat, expansion = scale(1 / mod_d, s), tr / mod_d
 
     def rate(y):
         y = y.reshape(n, -1)
@@ -87,7 +86,7 @@ def integrate(c, fabric, z2, phi, gradient, deviator=None, contact="hookean", rt
         dot[:, :9] = dot_a.reshape(n, 9)
         dot[:, 11:20] = 0
         if relaxing:
-            target = model_stress(c, a, z, gradient, contact)[1]
+            target = model_stress(c, a, z, s_hat, expansion, contact)[1]
             dot_dev = w @ dev - dev @ w + scale(mod_d / c["elastic_strain"], target - dev)
             dot[:, 11:20] = dot_dev.reshape(n, 9)
         return dot.ravel()
@@ -112,7 +111,7 @@ def integrate(c, fabric, z2, phi, gradient, deviator=None, contact="hookean", rt
         y = solution.y[:, -1]
     y = y.reshape(n, 20)
     a, z, ph = y[:, :9].reshape(n, 3, 3), y[:, 9], y[:, 10]
-    p, model = model_stress(c, a, z, gradient, contact)
+    p, model = model_stress(c, a, z, s_hat, expansion, contact)
     return a, z, ph, p, (y[:, 11:20].reshape(n, 3, 3) if relaxing else model)
 
 
@@ -121,17 +120,17 @@ def first_corner(direction, w, s_hat, ratio, local=1.0):
     turn = np.kron(w, np.eye(3)) + np.kron(np.eye(3), w) - ratio * np.eye(9)                      # of the nine components of M
     system = np.zeros((10, 10))
     system[:9, :9], system[:9, 9] = turn, ratio * local * s_hat.ravel()
-    start = np.append(direction, 1)
-
-    def projection(t):
-        return s_hat.ravel() @ (expm(t * system) @ start)[:9] + (1 - local) * double_dot(s_hat, s_hat)
-
-    times = np.linspace(0, 1, 41)
-    values = [projection(t) for t in times]
-    for k in range(40):
-        if values[k] * values[k + 1] < 0:
-            return brentq(projection, times[k], times[k + 1], xtol=1e-16, rtol=1e-15)
-    return 1.0
+    onto = np.append(s_hat.ravel(), (1 - local) * double_dot(s_hat, s_hat))
+    solutions = [np.append(direction, 1)]
+    step = expm(system / 40)
+    for _ in range(40):
+        solutions.append(step @ solutions[-1])
+    values = np.array(solutions) @ onto
+    changes = np.flatnonzero(values[:-1] * values[1:] < 0)
+    if not len(changes):
+        return 1.0
+    k = changes[0]
+    return brentq(lambda t: onto @ expm(t * system) @ solutions[0], k / 40, (k + 1) / 40, xtol=1e-16, rtol=1e-15)
 
 
 def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookean", rtol=1e-13, pressure_evolves=False):
@@ -173,7 +172,7 @@ def integrate_mobilised(c, fabric, z2, phi, direction, gradient, contact="hookea
     if pressure_evolves:
         z = np.sign(z) * np.sqrt(2 * abs(z) * stiffness / (c["a1"] + c["a2"] * magnitude(a)))
     z = c["Zc"] + z
-    p, _ = model_stress(c, a, z, gradient, contact)
+    p, _ = model_stress(c, a, z, s_hat, tr / mod_d, contact)
     ratio = -c["b1"] * m - 2 * c["b2"] * a + 2 * c["a3"] / slow * (a @ a - scale(double_dot(a, a) / 3, np.eye(3)))
     return a, z, ph, m, p, scale(p, ratio)
 
