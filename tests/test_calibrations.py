@@ -138,6 +138,7 @@ def test_dem_2026_says_where_it_holds_and_how_well_it_is_known():
         Material(0.9, calibration="dem-2026")
 
 
+@pytest.mark.release_only
 @pytest.mark.parametrize("closure", ["full", *TURNING])
 def test_dem_2026_halves_the_error_of_the_printed_constants_on_the_figures_data(closure):
     for table in sorted(DATA.glob("cv_mu*_s*.csv")):

@@ -82,6 +82,7 @@ def test_the_fault_is_a_sentence_that_names_the_closures_to_take():
 
 
 @pytest.mark.slow
+@pytest.mark.release_only
 def test_the_files_hold_every_map(tmp_path, monkeypatch):
     monkeypatch.setattr(growth, "CLOSURES", ("basic", "kinematic"))
     monkeypatch.setattr(growth, "WAVE_NUMBERS", np.geomspace(0.1, 1000, 9))

@@ -152,6 +152,7 @@ def test_every_build_but_the_debug_build_is_optimised_for_every_instruction_set(
 @only_from_build
 @pytest.mark.slow
 @pytest.mark.release_only
+@pytest.mark.skipif(" " in str(BUILD), reason="the build that is tested is in one")
 def test_it_builds_in_a_path_with_a_blank(tmp_path):
     source = tmp_path / "a source"
     source.mkdir()
