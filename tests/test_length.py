@@ -151,7 +151,8 @@ def test_it_does_not_depend_on_the_axes(rng):
 @pytest.mark.parametrize(("closure", "elastic_strain"), CASES)
 def test_the_tangent_by_strain_spin_and_m_equals_8th_order_differences(rng, closure, elastic_strain, shear, contact):
     material = Material(0.5, closure, contact, elastic_strain=elastic_strain, **isotropic_term(closure, contact))
-    states, gradient, m = random_points(rng, material, 400, shear, volume=0.1, excess=(1.0, 1.4))
+    n = 400 if shear < 0.1 else 100                 # the debug build takes seconds for large increments
+    states, gradient, m = random_points(rng, material, n, shear, volume=0.1, excess=(1.0, 1.4))
     size = strain_magnitude(gradient)
     share = np.minimum(size, m) * (1e-3 if shear > 0.1 else 0.01)
 
@@ -159,7 +160,7 @@ def test_the_tangent_by_strain_spin_and_m_equals_8th_order_differences(rng, clos
         return material.update(states, gradient + strain_share, nonlocal_strain=m + m_share)["stress"]
 
     found, tangent, by_m = material.update_with_tangent(states, gradient, spin=True, nonlocal_strain=m)
-    expected = np.zeros((400, 6, 10))
+    expected = np.zeros((n, 6, 10))
     for k, weight in enumerate(WEIGHTS, 1):
         for j, unit in enumerate(unit_gradients()):
             step = k * share[:, None, None] * unit
@@ -170,7 +171,7 @@ def test_the_tangent_by_strain_spin_and_m_equals_8th_order_differences(rng, clos
     good &= -tensors.trace(found["stress"]) / 3 > 1e-5                    # and away from the kink at p = 0
     if closure in TURNING:
         good &= away_from_the_kink(material, states, gradient, m, found)
-    assert good.sum() > 100
+    assert good.sum() > n / 4
     all_columns = np.concatenate([tangent, by_m[:, :, None]], axis=2)
     for part in (slice(0, 6), slice(6, 9), slice(9, 10)):
         largest = np.maximum(np.abs(expected[:, :, part]).max((1, 2)), 0.1 * np.abs(found["stress"]).max(1))
