@@ -15,6 +15,7 @@ bands = grain_layer.bands
 
 
 @pytest.mark.slow
+@pytest.mark.release_only           # the debug build sees these calls of the core in test_nonlocal.py
 def test_the_column_shears_as_the_steady_equation_says_and_its_length_is_found_again(tmp_path):
     (law, gradient), table = next(iter(grain_layer.main(**grain_layer.SHORT, out=tmp_path).items()))
     material, length = grain_layer.SHORT["laws"][law]
