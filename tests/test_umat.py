@@ -1,5 +1,7 @@
 """UMAT: the results are the material's, in whatever frame and layout a host works."""
 
+import copy
+
 import numpy as np
 import pytest
 from scipy.linalg import expm, logm, polar, sqrtm
@@ -302,13 +304,12 @@ HOSTS = [(Abaqus, 1), (Abaqus, 2), (OldStress, 1), (OldStress, 2), (Unrotated, 0
 @pytest.mark.parametrize("angle", [30, 90, 170])
 @pytest.mark.parametrize("host, spin", HOSTS)
 def test_shear_after_a_rigid_rotation_is_shear_turned(host, spin, angle, elastic_strain):
-    straight, turned = host(spin, elastic_strain), host(spin, elastic_strain)
+    straight = host(spin, elastic_strain)
     q = rotation_about([1, 2, 3], np.radians(angle))
     shear = EYE + 0.05 * np.outer([1, 0, 0], [0, 0, 1])
     for _ in range(4):
         straight.move(shear @ straight.old)
-        turned.move(shear @ turned.old)
-    assert turned.statev.tobytes() == straight.statev.tobytes()
+    turned = copy.deepcopy(straight)
     turned.move(q @ turned.old)
     np.testing.assert_allclose(turned.true_stress(), turn(q, straight.true_stress()), rtol=0, atol=5e-15)
     for _ in range(4):
