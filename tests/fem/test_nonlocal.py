@@ -254,6 +254,13 @@ def test_torque_and_width_of_the_ring_settle_at_those_of_the_radial_solution():
     assert len(columns["path"]) == 100 and columns["iterations"].mean() < 3.3
 
 
+@pytest.mark.release_only
+def test_where_the_last_increment_misleads_after_a_reversal_the_guess_from_rest_needs_no_cut():
+    critical = Material(0.5, closure="critical", elastic_strain=0.01)
+    watch, _ = turned(16, 1, 0.12, 0.016, 0.008, length=0.05, part=1 / 48, material=critical, start=critical.isotropic(0.6))
+    assert len(watch.residuals) == 17 and len(watch.residuals[15]) < 10
+
+
 def sheared_box(cells, noise, until, **more):
     """Largest scatter of abs(D) along x, over that of phi, in a box periodic along x, sheared under a constant load."""
     material = SAND

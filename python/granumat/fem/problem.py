@@ -268,6 +268,8 @@ class Problem:
         self.move_mesh()
         residuals: list[float] = []
         trial = self._newton(duration, residuals, stop)
+        if self.nonlocal_field is not None and self.last is not None and trial.failure not in ("", STOPPED):
+            trial = self._newton(duration, residuals, stop, from_rest=True)
         if self.moving_mesh is not None and not trial.failure:
             x = self.positions + self.displacement
             trial = replace(trial, failure=self.moving_mesh.fault(x + trial.u, self.moving_mesh.target(x, x + trial.u, trial.t)))
@@ -311,12 +313,17 @@ class Problem:
         self.shear_strain = self.shear_strain + 2 * tensors.magnitude(tensors.deviator(strain))
         self.volume_strain = self.volume_strain + tensors.trace(strain)
 
-    def _newton(self, duration: float, residuals: list[float], stop: Callable[[], object]) -> Trial:
-        """Newton's method with a line search; appends the residual of the first guess and of every iteration to residuals."""
+    def _newton(self, duration: float, residuals: list[float], stop: Callable[[], object], from_rest: bool = False) -> Trial:
+        """Newton's method with a line search; appends the residual of the first guess and of every iteration to residuals.
+
+        From rest the first guess is no displacement. It takes more iterations, but m is then that of the displacements found first,
+        and not that of the last increment, which misleads where the body shears elsewhere than before, as after a reversal.
+        """
         target = self._target(self.t + duration, duration)
         if self.moving_mesh is not None:
             target = self._target(self.t + duration, duration, self._predictor(target, duration)[:, :self.d])
-        trial, tangent = self.evaluate(self._predictor(target, duration), duration, with_tangent=True)
+        guess = np.zeros(self.numbering.labels.shape) if from_rest else self._predictor(target, duration)
+        trial, tangent = self.evaluate(guess, duration, with_tangent=True)
         if trial.failure:
             trial, tangent = self.evaluate(np.zeros(self.numbering.labels.shape), duration, with_tangent=True)
         residuals.append(trial.residual)

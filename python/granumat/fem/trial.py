@@ -38,7 +38,8 @@ class Trial:
         Norm of the residual forces, relative to that of the internal forces; with a length the root of the sum of its square and
         that of the equations of m, relative to the integrals of abs(D).
     residuals : tuple of float
-        Those of the Newton iterations that have led here, the first guess's first.
+        Those of the Newton iterations that have led here, the first guess's first. Those of a second guess follow, where the first
+        one has led nowhere.
     failure : str
         Empty if the increment is solved, else why it is not.
     """
