@@ -67,6 +67,10 @@ def test_error_is_below_1e_11_where_the_mobilised_share_leaves_0_within_the_incr
     assert max(errors(closure, 3, 100, 0.05, 0.01, against=True, spin=1.0, excess=(0.6, 1.2)).values()) < 1e-11
 
 
+def test_error_is_below_1e_12_where_the_body_turns_much_more_than_it_shears(closure):
+    assert max(errors(closure, 4, 100, 1e-3, 0.1, spin=500.0, excess=(0.6, 1.2)).values()) < 1e-12
+
+
 def test_an_increment_equals_its_halves(closure, rng):
     material = Material(0.5, closure, elastic_strain=0.01)
     states, gradient = turned_states(rng, material, 500, 0.1, excess=(0.8, 1.2))
