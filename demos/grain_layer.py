@@ -76,19 +76,8 @@ def shear_column(material, length, gradient, rows=62, back=BACK):
             found.append((problem.t, problem.reaction(top)[0][0] / width, *problem.displacement[line].T))
 
     for until in (START, turn, turn + back):
-        go_on(problem, until, watch)
+        fem.run(problem, until, SLIP, observers=[watch])
     return table(problem.positions[line, 1], gradient, *map(np.array, zip(*found)))
-
-
-def go_on(problem, until, watch):
-    """Run; where the guess from the last increment leads nowhere, as after the reversal, go on as from rest."""
-    while problem.t < until:
-        try:
-            fem.run(problem, until, SLIP, observers=[watch])
-        except fem.SolveError:
-            if problem.last is None:
-                raise
-            problem.last = problem.next_increment = None
 
 
 def table(z, gradient, t, tau, u_x, u_z):
