@@ -34,6 +34,14 @@ def test_with_a_length_short_waves_about_steady_shear_decay_and_just_after_a_rev
     assert worst(closure, 0.001, 0.8, reverse=True).max() < 1.1 * fabric
 
 
+@pytest.mark.parametrize("closure", ["full", "kinematic", "mobilised"])
+def test_about_steady_shear_short_waves_of_any_closure_grow_without_a_bound_but_with_a_length(closure):
+    local, nonlocal_map = (growth.growth_map(closure, "steady", 0.01, length) for length in (0.0, 0.8))
+    assert not local.is_bounded and nonlocal_map.is_bounded
+    fine = worst(closure, 0.01, 0.0, wave_numbers=growth.WAVE_NUMBERS[-1:], normals=3601)      # a twentieth of a degree apart
+    np.testing.assert_allclose(local.worst[-1:], fine, rtol=0.01)
+
+
 def test_waves_longer_than_the_length_grow_as_without_it():
     long = np.array([0.1, 1.0])
     np.testing.assert_allclose(worst("full", 0.01, 1e-3, wave_numbers=long), worst("full", 0.01, 0.0, wave_numbers=long), rtol=1e-3)

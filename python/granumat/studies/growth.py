@@ -26,6 +26,7 @@ LENGTH = 0.8                                 # l, in grain diameters
 INERTIAL_NUMBER = 1e-3                       # shear rate times d sqrt(density of the grains/p): of quasi-static flow
 WAVE_NUMBERS = np.geomspace(0.1, 1000, 17)   # k d
 ANGLES = np.linspace(0, np.pi, 181)[:-1]     # of the wave vector, from the flow to the gradient direction
+ZOOM, ZOOMS = 10, 3                          # the spacing of the angles is divided by so much, so many times, about the worst one
 TIME = 1e-6                                  # over which rates are taken, in units of the shear rate's inverse
 STEP = 1e-5                                  # of the differences, in all unknowns
 RISE = 2.0                                   # of the worst growth over the last decade of wave numbers from which it is unbounded
@@ -137,6 +138,35 @@ def growth(linear: Linear, wave_numbers: np.ndarray, angles: np.ndarray, length:
     return np.linalg.eigvals(matrix).real.max(-1)
 
 
+def worst_growth(linear: Linear, found: np.ndarray, length: float) -> np.ndarray:
+    """Find the growth of the worst wave vector in the plane of shear for each of WAVE_NUMBERS.
+
+    Short waves may grow in a range of angles much narrower than the spacing of ANGLES: the search goes on about the worst of them,
+    and about the worst found there.
+
+    Parameters
+    ----------
+    linear : Linear
+    found : array (wave numbers, angles)
+        Of WAVE_NUMBERS and ANGLES.
+    length : float
+        As in `growth`.
+
+    Returns
+    -------
+    array (wave numbers,)
+    """
+    worst = found.max(1)
+    for i, k in enumerate(WAVE_NUMBERS):
+        angle, spacing = ANGLES[found[i].argmax()], ANGLES[1]
+        for _ in range(ZOOMS):
+            angles = angle + spacing * np.linspace(-1, 1, 2 * ZOOM + 1)
+            values = growth(linear, np.array([k]), angles, length)[0]
+            angle, spacing = angles[values.argmax()], spacing / ZOOM
+            worst[i] = max(worst[i], values.max())
+    return worst
+
+
 class Map(NamedTuple):
     """The growth of a closure in a flow, with and without a length."""
 
@@ -145,11 +175,7 @@ class Map(NamedTuple):
     elastic_strain: float
     length: float
     growth: np.ndarray                       # (wave numbers, angles)
-
-    @property
-    def worst(self) -> np.ndarray:
-        """Over all angles, by wave number."""
-        return self.growth.max(1)
+    worst: np.ndarray                        # (wave numbers,), over all angles
 
     @property
     def is_bounded(self) -> bool:
@@ -165,7 +191,8 @@ def growth_map(closure: str, flow: str, elastic_strain: float, length: float, mu
     gradient[0, 2] = -1 if flow == "just reversed" else 1
     state = material.steady(material["phic"] + VOLUME_FRACTION - Material(MU)["phic"])
     linear = linearise(material, state, gradient, length > 0)
-    return Map(closure, flow, elastic_strain, length, growth(linear, WAVE_NUMBERS, ANGLES, length))
+    found = growth(linear, WAVE_NUMBERS, ANGLES, length)
+    return Map(closure, flow, elastic_strain, length, found, worst_growth(linear, found, length))
 
 
 def study() -> list[Map]:
