@@ -1,5 +1,6 @@
 """Bodies with a length: the nonlocal strain m beside the displacements."""
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -17,6 +18,7 @@ sys.path.insert(0, str(DEMOS))
 import annular_cell  # noqa: E402
 import homogeneous_shear  # noqa: E402
 import length as demo_of_length  # noqa: E402
+import noisy_rings  # noqa: E402
 import platen_gravity  # noqa: E402
 
 SAND = Material(0.5, elastic_strain=0.01)
@@ -191,6 +193,7 @@ def test_cells_of_each_kind_agree_in_the_ring(cell, degree, whole):
 
 def test_ranks_agree(mpirun, whole):
     script = f"""
+import itertools
 import sys
 sys.path[:0] = [{str(DEMOS)!r}, *{[str(path) for path in Path(__file__).parents[:2]]!r}]
 from mpi4py import MPI
@@ -208,6 +211,7 @@ if MPI.COMM_WORLD.rank == 0:
 
 def test_ranks_agree_on_every_kind_of_cell_and_with_the_iterative_solver(mpirun):
     script = f"""
+import itertools
 import sys
 sys.path[:0] = [{str(DEMOS)!r}, *{[str(path) for path in Path(__file__).parents[:2]]!r}]
 import numpy as np
@@ -285,6 +289,14 @@ def sheared_box(cells, noise, until, **more):
     y = np.round(problem.body.at_cells(problem.positions)[:, :, 1].mean(axis=1), 6)
     local = strain["nonlocal_strain"] * strain["R"]
     return max(local[y == row].std() / local[y == row].mean() for row in np.unique(y)) / noise
+
+
+@pytest.mark.slow
+@pytest.mark.release_only
+def test_around_whole_rings_errors_of_the_packing_do_not_grow_with_refinement_where_there_is_a_length(tmp_path):
+    largest = noisy_rings.main(**noisy_rings.SHORT, out=tmp_path)                            # asserts bounds and refinement
+    assert set(largest) == set(itertools.product(noisy_rings.SHORT["lengths"], (8, 16), noisy_rings.HALVES))
+    assert {path.name for path in tmp_path.iterdir()} == {"noisy-rings.csv", "noisy-rings.png"}
 
 
 @pytest.mark.release_only
