@@ -4,7 +4,8 @@
 # Sand goes down between two rough walls. The right one goes with it at the speed 1; of the left one, the middle is slower, by up
 # to a half. Sand enters at the top in a given state, under a pressure, and leaves at the bottom at the speed 1; there is no
 # weight. The mesh stays and the state is convected, from rest to the steady flow, which passes the mesh several times. A length
-# regularises: without it, waves across the flow grow and it does not become steady.
+# regularises: without it, waves across the flow grow and it does not become steady. The drag is the force on the left wall without
+# its lowest node, which carries half a cell of what the outlet bears too.
 
 # %%
 import fields
@@ -24,6 +25,10 @@ SHORT = {"meshes": (4, 6), "until": 1.0}
 
 def left(x):
     return np.isclose(x[0], 0)
+
+
+def above_outlet(x):
+    return left(x) & (x[1] > 0)
 
 
 def right(x):
@@ -59,12 +64,12 @@ def drawn(cells, until):
 
     def watch(problem):
         if problem.last is not None:
-            rows.append((problem.t, problem.reaction(left)[0][1]))
+            rows.append((problem.t, problem.reaction(above_outlet)[0][1]))
     fem.run(problem, until, 0.2 / cells, observers=[watch])
     return problem, np.array(rows)
 
 
-def main(meshes=(8, 16), until="steady", out=None):
+def main(meshes=(8, 16, 32), until="steady", out=None):
     runs = {cells: drawn(cells, until) for cells in meshes}
     shown = [fields.on_rank_0(runs[meshes[-1]][0], name) for name in ("p", "phi")]
     drags = np.array([rows[-1, 1] for _, rows in runs.values()])
@@ -75,7 +80,7 @@ def main(meshes=(8, 16), until="steady", out=None):
         if out:
             fields.save(draw(runs, shown), out, "drawn-bed")
     assert all(problem.increments == round(problem.t * cells / 0.2) for cells, (problem, _) in runs.items())      # none was cut
-    assert abs(drags[1] / drags[0] - 1) < 0.1
+    assert abs(drags[-1] / drags[-2] - 1) < 0.2 / meshes[-1]
     return {"drag": drags}
 
 

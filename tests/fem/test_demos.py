@@ -23,7 +23,8 @@ for name in names:
     if MPI.COMM_WORLD.rank == 0:
         np.savez(out + "/" + name + ".npz", **data)
 """
-NAMES = ("homogeneous_shear", "direct_shear", "platen_gravity", "ring_shear_3d", "biaxial_block", "radial_hopper", "drawn_bed")
+NAMES = ("homogeneous_shear", "direct_shear", "platen_gravity", "ring_shear_3d", "biaxial_block", "radial_hopper", "drawn_bed",
+         "split_bottom")
 AGREEMENT = 1e-9            # largest difference between one rank and several, of a quantity's largest value
 
 
