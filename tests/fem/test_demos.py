@@ -41,6 +41,12 @@ def test_demos_give_the_same_and_their_pictures_on_one_two_and_three_ranks(mpiru
                 assert np.allclose(several[key], one[key], rtol=0, atol=AGREEMENT * size), (name, ranks, key)
 
 
+def test_where_flow_ends_is_drawn(mpirun, tmp_path):
+    said = mpirun(SCRIPT, 1, tmp_path, "where_flow_ends")        # which points unjam first is not the same on any number of ranks
+    assert "is unjammed" in said and np.load(tmp_path / "where_flow_ends.npz")["t"] < 2
+    assert (tmp_path / "where-flow-ends.png").exists()
+
+
 def test_what_the_ladder_recommends_for_paths_of_the_demos_is_as_good_as_it_says(mpirun, tmp_path):
     mpirun(SCRIPT, 1, tmp_path, "ladder")
     pairs = np.load(tmp_path / "ladder.npz")

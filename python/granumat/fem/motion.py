@@ -81,8 +81,9 @@ class MovingMesh:
         places = [format_position(new[nodes[face]].mean(axis=0)) for face in np.flatnonzero(passed)[:1]]
         places = [place for of_rank in self._body.comm.allgather(places) for place in of_rank]
         if places:
-            raise ValueError(f"the material passes the boundary of the mesh at {places[0]}: give an Inflow or an Outflow there, or "
-                             "take motion = 'boundary', with which the mesh follows it")
+            raise ValueError(f"the material passes the boundary of the mesh at {places[0]}: " + (
+                "it has come along a wall by the height of a cell, or folds" if self._boundary is not None else
+                "give an Inflow or an Outflow there, or take motion = 'boundary', with which the mesh follows it"))
 
 
 class _Boundary:
