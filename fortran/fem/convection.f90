@@ -20,6 +20,7 @@ module granumat_convection
   integer, parameter :: COLUMNS = 24                 ! a state's 20 numbers and four more: whole vectors of any instruction set
   integer, parameter :: TENSORS = 3                  ! stress, fabric, direction: a state's first 18 numbers
   integer, parameter :: FABRIC = 7                   ! its first column
+  integer, parameter :: SCALARS = 6 * TENSORS + 1    ! first column of the scalars
   integer, parameter :: RANGES = 3 * COLUMNS + TENSORS + 1     ! low, high, center by column; radius by tensor; abs(A)^2
   integer, parameter :: POINTS = 8                   ! of a cell, at most
   integer, parameter :: PHI = 6 * TENSORS + 2        ! column of the volume fraction
@@ -28,11 +29,12 @@ module granumat_convection
   real(dp), parameter :: BEYOND = (ROOT_3 - 1) / 2   ! on a face, a function is that at the near point + BEYOND (near - far)
   real(dp), parameter :: ALLOWANCE = 4               ! less than 1/0.15 - 1, where at most 0.15 of a cell is swept
 
-  !> The shape functions of a cell's nodes and their derivatives at its points (face 0) and at those of its faces.
+  !> The shape functions of a cell's nodes and their derivatives at its points (k = 0) and, k > 0, at the points of its two faces
+  !! across the reference coordinate k, together as many. Points that a cell in the plane has not have zeros.
   type :: reference_cell
     integer :: d
-    real(dp) :: shape_functions(POINTS, POINTS, 0:6)      ! (node, point, face)
-    real(dp) :: slopes(3, POINTS, POINTS, 0:6)            ! (reference coordinate, node, point, face)
+    real(dp) :: shape_functions(POINTS, POINTS, 0:3)      ! (point, node, k)
+    real(dp) :: slopes(POINTS, POINTS, 3, 0:3)            ! (point, node, reference coordinate, k)
   end type reference_cell
 
 contains
@@ -89,7 +91,7 @@ contains
     real(dp), intent(in), contiguous :: values(:, :, :)        ! (COLUMNS, points, cells and further ones that are neighbours)
     real(dp), intent(out) :: range(:, :)             ! (RANGES, cells)
     real(dp), dimension(COLUMNS) :: low, high, center
-    real(dp) :: radius(TENSORS), magnitude, solid(POINTS), at(3, POINTS), J(3, 3), volume
+    real(dp) :: radius(TENSORS), magnitude, solid(POINTS), J(POINTS, 3, 3)
     type(reference_cell) :: reference
     integer :: cell, q, k, d
 
@@ -97,11 +99,10 @@ contains
     reference = reference_of(d)
     do cell = 1, size(range, 2)
       center = 0
-      at = in_space(x(:, :, cell))
+      J = jacobians(reference, 0, in_space(x(:, :, cell)))
+      solid = volumes(J)
       do q = 1, 2**d
-        J = jacobian(reference, q, 0, at)
-        volume = dot_product(J(:, 1), cross(J(:, 2), J(:, 3)))
-        solid(q) = volume * values(PHI, q, cell)
+        solid(q) = solid(q) * values(PHI, q, cell)
         center = center + solid(q) * values(:, q, cell)
       end do
       center = center / sum(solid(:2**d))
@@ -144,56 +145,58 @@ contains
     real(dp), intent(out), dimension(POINTS) :: mass_start, mass_end
     real(dp), intent(out) :: sweep(3, POINTS)        ! through the coordinate surfaces of a point, towards larger coordinates
     real(dp), intent(out) :: face_sweep(POINTS, 6)   ! outward, at the faces' points
-    real(dp) :: x(3, POINTS), x_new(3, POINTS), orientation, through(3), volume, volume_new
-    integer :: q, k, side, face, d
+    real(dp), dimension(3, POINTS) :: x, x_new
+    real(dp), dimension(POINTS, 3, 3) :: J, J_new
+    real(dp) :: w(POINTS, 3), through(POINTS), orientation
+    integer :: q, k, side, d
 
     d = reference%d
     x = in_space(x_start)
     x_new = in_space(x_end)
-    mass_start = 0
-    mass_end = 0
-    do q = 1, 2**d
-      call sweep_at(reference, q, 0, x, x_new, sweep(:, q), mass_start(q), mass_end(q))
-    end do
-    face_sweep = 0
-    do k = 1, d
-      do q = 1, 2**d
-        side = ibits(q - 1, k - 1, 1)
-        face = 2 * k - 1 + side
-        call sweep_at(reference, q, face, x, x_new, through, volume, volume_new)
-        face_sweep(q, face) = (2 * side - 1) * through(k) / 2**(d - 1)
-      end do
-    end do
+    J = jacobians(reference, 0, x)
+    J_new = jacobians(reference, 0, x_new)
+    w = displacements(reference, 0, x, x_new)
+    mass_start = volumes(J)
+    mass_end = volumes(J_new)
     orientation = sign(1.0_dp, sum(mass_start))      ! of the map from the reference cell
     mass_start = orientation * mass_start / 2**d
     mass_end = orientation * mass_end / 2**d
-    sweep = orientation * sweep / 2**d
-    face_sweep = orientation * face_sweep
+    do k = 1, 3
+      through = orientation * swept_through(k, w, J, J_new) / 2**d
+      sweep(k, :) = through
+    end do
+    face_sweep = 0
+    do k = 1, d
+      J = jacobians(reference, k, x)
+      J_new = jacobians(reference, k, x_new)
+      w = displacements(reference, k, x, x_new)
+      through = orientation * swept_through(k, w, J, J_new) / 2**(d - 1)
+      do q = 1, 2**d
+        side = ibits(q - 1, k - 1, 1)
+        face_sweep(q, 2 * k - 1 + side) = (2 * side - 1) * through(q)
+      end do
+    end do
   end subroutine measure
 
-  !> What a point of a cell or of a face sweeps through the coordinate surfaces, with mean areas, and det J before and after.
-  pure subroutine sweep_at(reference, q, face, x, x_new, sweep, volume, volume_new)
-    type(reference_cell), intent(in) :: reference
-    integer, intent(in) :: q, face
-    real(dp), intent(in), dimension(3, POINTS) :: x, x_new
-    real(dp), intent(out) :: sweep(3)
-    real(dp), intent(out) :: volume, volume_new
-    real(dp), dimension(3, 3) :: J, J_new, first, second
-    real(dp) :: w(3)
-    integer :: a
+  !> What points sweep through the surface where the reference coordinate k is constant, whose area is a mean over the step.
+  pure function swept_through(k, w, J, J_new) result(sweep)
+    integer, intent(in) :: k
+    real(dp), intent(in) :: w(POINTS, 3)
+    real(dp), intent(in), dimension(POINTS, 3, 3) :: J, J_new
+    real(dp), dimension(POINTS, 3) :: a, b, c
+    real(dp) :: sweep(POINTS)
+    integer :: gauss_point, m, n
 
-    w = 0
-    do a = 1, 2**reference%d
-      w = w + reference%shape_functions(a, q, face) * (x_new(:, a) - x(:, a))
+    m = mod(k, 3) + 1
+    n = mod(k + 1, 3) + 1
+    sweep = 0
+    do gauss_point = 0, 1                            ! areas are of degree d - 1 in time
+      a = (1 - GAUSS(gauss_point)) * J(:, :, m) + GAUSS(gauss_point) * J_new(:, :, m)
+      b = (1 - GAUSS(gauss_point)) * J(:, :, n) + GAUSS(gauss_point) * J_new(:, :, n)
+      c = cross(a, b)
+      sweep = sweep + (w(:, 1) * c(:, 1) + w(:, 2) * c(:, 2) + w(:, 3) * c(:, 3)) / 2
     end do
-    J = jacobian(reference, q, face, x)
-    J_new = jacobian(reference, q, face, x_new)
-    first = areas_of((1 - GAUSS(0)) * J + GAUSS(0) * J_new)      ! they are of degree d - 1 in time
-    second = areas_of((1 - GAUSS(1)) * J + GAUSS(1) * J_new)
-    sweep = matmul(w, first + second) / 2
-    volume = dot_product(J(:, 1), cross(J(:, 2), J(:, 3)))
-    volume_new = dot_product(J_new(:, 1), cross(J_new(:, 2), J_new(:, 3)))
-  end subroutine sweep_at
+  end function swept_through
 
   !> A cell's nodes with three coordinates each.
   pure function in_space(x)
@@ -214,10 +217,12 @@ contains
     real(dp), intent(in) :: fabric_limit
     real(dp), intent(inout) :: amount(COLUMNS, POINTS)
     real(dp) :: trace(COLUMNS, POINTS), flux(COLUMNS), net
+    real(dp), dimension(SCALARS:COLUMNS) :: low, high, own_mean, mean
     integer :: q, k, far
 
     k = (face + 1) / 2
     trace(PHI, :) = 0                                ! at points of other faces
+    if (neighbour > 0) call bounds_of(stage(:, :, cell), stage(:, :, neighbour), count, low, high, own_mean, mean)
     do q = 1, count
       if (ibits(q - 1, k - 1, 1) /= mod(face + 1, 2)) cycle
       far = across(q, k)
@@ -225,10 +230,11 @@ contains
       if (neighbour == 0) cycle
       if (sweep(q) > 0) then
         trace(:, q) = extrapolated(stage(:, opposite(1, q), neighbour), stage(:, opposite(2, q), neighbour))
-        call confine(stage(:, :, neighbour), stage(:, :, cell), count, fabric_limit, trace(:, q))
+        trace(SCALARS:, q) = confined(trace(SCALARS:, q), low, high, own_mean)
       else
-        call confine(stage(:, :, cell), stage(:, :, neighbour), count, fabric_limit, trace(:, q))
+        trace(SCALARS:, q) = confined(trace(SCALARS:, q), low, high, mean)
       end if
+      call confine_fabric(stage(:, :, cell), stage(:, :, neighbour), count, fabric_limit, trace(:, q))
     end do
     net = 0
     if (is_wall) net = dot_product(sweep(:count), trace(PHI, :count)) / sum(trace(PHI, :count))
@@ -364,36 +370,55 @@ contains
     end do
   end function fabric_factor
 
-  !> Bounds what one cell gives another through a face. A scalar may exceed the interval of the points of both so far only that the
-  !! mean of the cell that receives it is sure to stay within. The fabric is scaled to the largest of both, or the limit.
-  pure subroutine confine(giver, receiver, count, fabric_limit, trace)
-    real(dp), intent(in), contiguous :: giver(:, :), receiver(:, :)      ! (COLUMNS, points)
+  !> Of the scalars of two cells: the interval that holds them all, and the mean of each cell.
+  pure subroutine bounds_of(first, second, count, low, high, mean_of_first, mean_of_second)
+    real(dp), intent(in), contiguous :: first(:, :), second(:, :)        ! (COLUMNS, points)
+    integer, intent(in) :: count
+    real(dp), intent(out), dimension(SCALARS:COLUMNS) :: low, high, mean_of_first, mean_of_second
+    integer :: q, c
+
+    low = first(SCALARS:, 1)
+    high = low
+    mean_of_first = 0
+    mean_of_second = 0
+    do q = 1, count
+      do c = SCALARS, COLUMNS
+        low(c) = min(low(c), first(c, q), second(c, q))
+        high(c) = max(high(c), first(c, q), second(c, q))
+        mean_of_first(c) = mean_of_first(c) + first(c, q)
+        mean_of_second(c) = mean_of_second(c) + second(c, q)
+      end do
+    end do
+    mean_of_first = mean_of_first / count
+    mean_of_second = mean_of_second / count
+  end subroutine bounds_of
+
+  !> Bounds a scalar that one cell gives another through a face: it may exceed the interval of the points of both so far only that
+  !! the mean of the cell that receives it is sure to stay within.
+  pure elemental function confined(trace, low, high, mean)
+    real(dp), intent(in) :: trace, low, high
+    real(dp), intent(in) :: mean                     ! of the cell that receives
+    real(dp) :: confined
+    confined = max(low - ALLOWANCE * (mean - low), min(trace, high + ALLOWANCE * (high - mean)))
+  end function confined
+
+  !> Scales the fabric that one cell gives another to the largest of both, or the limit if that is more.
+  pure subroutine confine_fabric(first, second, count, fabric_limit, trace)
+    real(dp), intent(in), contiguous :: first(:, :), second(:, :)        ! (COLUMNS, points)
     integer, intent(in) :: count
     real(dp), intent(in) :: fabric_limit
     real(dp), intent(inout) :: trace(COLUMNS)
     real(dp) :: largest, found
-    real(dp), dimension(COLUMNS) :: low, high, mean
-    integer :: q, c
+    integer :: q
 
-    low = min(giver(:, 1), receiver(:, 1))
-    high = max(giver(:, 1), receiver(:, 1))
-    mean = receiver(:, 1) / count
-    do q = 2, count
-      low = min(low, giver(:, q), receiver(:, q))
-      high = max(high, giver(:, q), receiver(:, q))
-      mean = mean + receiver(:, q) / count
-    end do
-    do c = 6 * TENSORS + 1, COLUMNS
-      trace(c) = max(low(c) - ALLOWANCE * (mean(c) - low(c)), min(trace(c), high(c) + ALLOWANCE * (high(c) - mean(c))))
-    end do
     found = fabric_square(trace)
     if (found <= fabric_limit) return
     largest = fabric_limit
     do q = 1, count
-      largest = max(largest, fabric_square(giver(:, q)), fabric_square(receiver(:, q)))
+      largest = max(largest, fabric_square(first(:, q)), fabric_square(second(:, q)))
     end do
     if (found > largest) trace(FABRIC:FABRIC + 5) = sqrt(largest / found) * trace(FABRIC:FABRIC + 5)
-  end subroutine confine
+  end subroutine confine_fabric
 
   !> A : A.
   pure function fabric_square(values)
@@ -444,57 +469,74 @@ contains
     integer, intent(in) :: d
     type(reference_cell) :: reference
     real(dp) :: xi(3)
-    integer :: a, q, k, face
+    integer :: a, q, k, across_k
 
     reference%d = d
     reference%shape_functions = 0
     reference%slopes = 0
-    do face = 0, 2 * d
+    do across_k = 0, d
       do q = 1, 2**d
         xi = GAUSS(ibits(q - 1, [0, 1, 2], 1))
-        do k = 1, d
-          if (k == (face + 1) / 2) xi(k) = mod(face + 1, 2)
-        end do
+        xi = merge(real(ibits(q - 1, [0, 1, 2], 1), dp), xi, [1, 2, 3] == across_k)
         do a = 1, 2**d
-          reference%shape_functions(a, q, face) = shape_function(a, xi, 0, d)
+          reference%shape_functions(q, a, across_k) = shape_function(a, xi, 0, d)
           do k = 1, d
-            reference%slopes(k, a, q, face) = shape_function(a, xi, k, d)
+            reference%slopes(q, a, k, across_k) = shape_function(a, xi, k, d)
           end do
         end do
       end do
     end do
   end function reference_of
 
-  !> Column k: the area vector of the surface xi_k = const., the cofactors of J.
-  pure function areas_of(J) result(areas)
-    real(dp), intent(in) :: J(3, 3)
-    real(dp) :: areas(3, 3)
-    areas(:, 1) = cross(J(:, 2), J(:, 3))
-    areas(:, 2) = cross(J(:, 3), J(:, 1))
-    areas(:, 3) = cross(J(:, 1), J(:, 2))
-  end function areas_of
-
-  pure function cross(a, b)
-    real(dp), intent(in), dimension(3) :: a, b
-    real(dp) :: cross(3)
-    cross = [a(2) * b(3) - a(3) * b(2), a(3) * b(1) - a(1) * b(3), a(1) * b(2) - a(2) * b(1)]
-  end function cross
-
-  !> Derivatives (i, k) of a cell's positions by reference coordinates; in the plane the third axis is as it is.
-  pure function jacobian(reference, q, face, x) result(J)
+  !> Derivatives (point, i, k) of a cell's positions by reference coordinates; in the plane the third axis is as it is.
+  pure function jacobians(reference, across_k, x) result(J)
     type(reference_cell), intent(in) :: reference
-    integer, intent(in) :: q, face
+    integer, intent(in) :: across_k
     real(dp), intent(in) :: x(3, POINTS)
-    real(dp) :: J(3, 3)
-    integer :: a, k
+    real(dp) :: J(POINTS, 3, 3)
+    integer :: a, i, k
     J = 0
-    if (reference%d == 2) J(3, 3) = 1
-    do a = 1, 2**reference%d
-      do k = 1, reference%d
-        J(:, k) = J(:, k) + reference%slopes(k, a, q, face) * x(:, a)
+    if (reference%d == 2) J(:, 3, 3) = 1
+    do k = 1, reference%d
+      do a = 1, 2**reference%d
+        do i = 1, reference%d
+          J(:, i, k) = J(:, i, k) + reference%slopes(:, a, k, across_k) * x(i, a)
+        end do
       end do
     end do
-  end function jacobian
+  end function jacobians
+
+  !> How far points of a cell move (point, i).
+  pure function displacements(reference, across_k, x, x_new) result(w)
+    type(reference_cell), intent(in) :: reference
+    integer, intent(in) :: across_k
+    real(dp), intent(in), dimension(3, POINTS) :: x, x_new
+    real(dp) :: w(POINTS, 3)
+    integer :: a, i
+    w = 0
+    do a = 1, 2**reference%d
+      do i = 1, reference%d
+        w(:, i) = w(:, i) + reference%shape_functions(:, a, across_k) * (x_new(i, a) - x(i, a))
+      end do
+    end do
+  end function displacements
+
+  !> det J of points.
+  pure function volumes(J) result(volume)
+    real(dp), intent(in) :: J(POINTS, 3, 3)
+    real(dp) :: volume(POINTS), c(POINTS, 3)
+    c = cross(J(:, :, 2), J(:, :, 3))
+    volume = J(:, 1, 1) * c(:, 1) + J(:, 2, 1) * c(:, 2) + J(:, 3, 1) * c(:, 3)
+  end function volumes
+
+  !> a x b of points.
+  pure function cross(a, b) result(c)
+    real(dp), intent(in), dimension(POINTS, 3) :: a, b
+    real(dp) :: c(POINTS, 3)
+    c(:, 1) = a(:, 2) * b(:, 3) - a(:, 3) * b(:, 2)
+    c(:, 2) = a(:, 3) * b(:, 1) - a(:, 1) * b(:, 3)
+    c(:, 3) = a(:, 1) * b(:, 2) - a(:, 2) * b(:, 1)
+  end function cross
 
   !> The shape function of node a, or its derivative by reference coordinate k if that is not 0.
   pure real(dp) function shape_function(a, xi, k, d)
