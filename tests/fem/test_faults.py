@@ -368,7 +368,7 @@ def long_whole(tmp_path_factory):
     2, ("kill -9", "kill -9 of a rank", "SIGTERM", "SIGINT", "SIGTERM of a rank"))])
 def test_a_run_that_is_killed_in_any_way_is_gone_on_with_to_the_same_end(tmp_path, long_whole, ranks, ways):
     for way in ways:
-        directory, moment = tmp_path / way.replace(" ", "-"), np.random.default_rng().integers(4, 20)
+        directory, moment = tmp_path / way.replace(" ", "-"), np.random.default_rng().integers(5, 20)
         written(directory, LONG)
         with started(directory, ranks) as running:
             while rows(directory / "out/reactions.csv") < moment:
