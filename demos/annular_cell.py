@@ -51,6 +51,15 @@ def ring(material, rings, sectors, turn, *, wall="load", part=1.0, rotated=0.0, 
     return fem.Problem(mesh, material, start, conditions, **more), inner
 
 
+def uneven(state, cells, errors):
+    """A start for Problem: `state`, whose phi is off by a random part of it, at most `errors`, that differs from cell to cell."""
+    def start(x):
+        states = np.full(len(x), state)
+        states["volume_fraction"] *= 1 + errors * np.repeat(np.random.default_rng(0).uniform(-1, 1, cells), len(x) // cells)
+        return states
+    return start
+
+
 class Watch:
     """An observer: one row of COLUMNS for every increment, the same on all ranks.
 

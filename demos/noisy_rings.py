@@ -10,7 +10,7 @@ from itertools import product
 
 import fields
 import numpy as np
-from annular_cell import PRESSURE, ring, save
+from annular_cell import PRESSURE, ring, save, uneven
 from matplotlib.figure import Figure
 
 from granumat import Material, fem
@@ -28,14 +28,7 @@ COLUMNS = ("length", "rings", "path", "p", "shear_rate")
 # %%
 def attempt(length, shape, increment):
     """Rows of COLUMNS: standard deviations around the ring of cells where they are largest, over means, and over that of phi."""
-    rng, rings = np.random.default_rng(0), shape[0]
-
-    def start(x):
-        cells = np.prod(shape)
-        states = np.full(len(x), SAND.isotropic(0.60, pressure=PRESSURE))
-        states["volume_fraction"] *= 1 + ERRORS * np.repeat(rng.uniform(-1, 1, cells), len(x) // cells)
-        return states
-
+    start = uneven(SAND.isotropic(0.60, pressure=PRESSURE), np.prod(shape), ERRORS)
     problem, _ = ring(SAND, *shape, TURN, start=start, length=length)
     middle = problem.body.at_cells(problem.positions).mean(axis=1)
     by_ring = np.argsort(np.round(np.hypot(*middle.T), 6), kind="stable").reshape(shape)
@@ -48,7 +41,7 @@ def attempt(length, shape, increment):
     def watch(problem):
         if problem.last is not None:
             found = fem.cell_fields(problem, ["p", "nonlocal_strain", "R"])
-            rows.append(dict(zip(COLUMNS, (length, rings, problem.t, scatter(found["p"]),
+            rows.append(dict(zip(COLUMNS, (length, shape[0], problem.t, scatter(found["p"]),
                                            scatter(found["nonlocal_strain"] * found["R"])))))
 
     fem.run(problem, TURN + BACK, increment, events=[TURN], observers=[watch])

@@ -12,8 +12,9 @@ from mpi4py import MPI
 
 from granumat import Material, driver, fem
 from granumat.fem.scene import solve
+from support import scenes
 from support.ranks import ENVIRONMENT, on_ranks
-from support.scenes import read_table
+from support.scenes import read_table, replaced
 from support.xdmf import records
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "demos"))
@@ -256,35 +257,13 @@ def test_a_scene_with_what_flows_through(tmp_path):
     assert last["unjammed"] == pytest.approx(0) and last["p"] == pytest.approx(0.01)
 
 
-LAYER = """
-[material]
-elastic_strain = 0.01
-[mesh]
-kind = "box"
-size = [1, 0.5]
-cells = [6, 4]
-[initial]
-state = "isotropic"
-phi = 0.60
-pressure = 0.01
+LAYER = replaced(scenes.BOX, {
+    "[4, 2]": "[6, 4]", "pressure = 0.007": "pressure = 0.01", "pressure = [[0, 0.007], [10, 0.008]]": "pressure = 0.01",
+    "[[0, 0], [3.5, 0.02], [10, -0.02]]": "[[0, 0], [10, 5]]", "until = 6\nincrement = 1": "until = 1.2\nincrement = 0.01"}) + """
 [problem]
 gravity = [0, -0.02]
 [motion]
 kind = "boundary"
-[[condition]]
-on = "bottom"
-displacement = { x = 0, y = 0 }
-[[condition]]
-on = "top"
-displacement = { x = [[0, 0], [10, 5]] }
-platen = "y"
-pressure = 0.01
-[[condition]]
-on = ["left", "right"]
-periodic = true
-[run]
-until = 1.2
-increment = 0.01
 [output]
 every = 7
 probes = { middle = [0.5, 0.25] }

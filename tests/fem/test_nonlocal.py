@@ -268,19 +268,13 @@ def test_where_the_last_increment_misleads_after_a_reversal_the_guess_from_rest_
 
 def sheared_box(cells, noise, until, **more):
     """Largest scatter of abs(D) along x, over that of phi, in a box periodic along x, sheared under a constant load."""
-    material = SAND
-    start, rng = material.isotropic(0.6, pressure=0.01), np.random.default_rng(0)
-
-    def state(x):
-        states = np.full(len(x), start)
-        states["volume_fraction"] *= 1 + noise * np.repeat(rng.uniform(-1, 1, cells**2), len(x) // cells**2)
-        return states
+    start = annular_cell.uneven(SAND.isotropic(0.6, pressure=0.01), cells**2, noise)
 
     def top(x):
         return np.isclose(x[1], 1)
 
     problem = fem.Problem(
-        fem.meshes.box(MPI.COMM_WORLD, (1, 1), (cells, cells)), material, state,
+        fem.meshes.box(MPI.COMM_WORLD, (1, 1), (cells, cells)), SAND, start,
         [fem.Displacement(lambda x: np.isclose(x[1], 0)), fem.Displacement(top, lambda x, t: [t, 0], components=[0]),
          fem.Tied(top, 1), fem.Pressure(top, 0.01), fem.Periodic(lambda x: np.isclose(x[0], 1), lambda x: x - np.array([1.0, 0]))],
         **more)
