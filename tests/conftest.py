@@ -1,3 +1,5 @@
+import fcntl
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +11,7 @@ from granumat import Material
 
 LINKING = Path(__file__).resolve().parents[1] / "demos/linking"
 NO_DOWNLOAD = 69            # exit status of build.sh there
+signal.signal(signal.SIGINT, signal.default_int_handler)     # processes of pytest-xdist ignore it, and so would what tests start
 PROGRAMS = {"calculix", "kratos", "mpirun"}     # fixtures: tests of other programs, or of several ranks
 
 
@@ -21,7 +24,9 @@ def pytest_collection_modifyitems(items):
 
 def built(name):
     """The folder of a program in demos/linking, which is there; skips the test where it cannot be downloaded."""
-    done = subprocess.run([LINKING / name / "build.sh"], capture_output=True, text=True)
+    with open(__file__) as one_at_a_time:           # of all processes that test: they share apt, and the programs
+        fcntl.flock(one_at_a_time, fcntl.LOCK_EX)
+        done = subprocess.run([LINKING / name / "build.sh"], capture_output=True, text=True)
     if done.returncode == NO_DOWNLOAD:
         pytest.skip(f"{name} cannot be downloaded, nor was it before: {done.stderr.strip()}")
     assert done.returncode == 0, done.stdout + done.stderr

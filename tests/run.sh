@@ -1,16 +1,17 @@
 #!/bin/sh
 # Tests the debug build in what depends on the build, then the release build in everything; arguments go to the last pytest.
-# ./tests/run.sh --quick: the release build only, without slow tests.
+# ./tests/run.sh --quick: the release build only, without slow tests. There are as many processes as processors, each of which takes
+# a file of tests at a time.
 set -eu
 cd "$(dirname "$0")/.."
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 export PYTHONDONTWRITEBYTECODE=1 OMP_NUM_THREADS=1 MPLBACKEND=Agg
-export MORE_PACKAGES="python3-gmsh python3-sphinx python3-myst-parser python3-numpydoc furo libjs-katex"
+export MORE_PACKAGES="python3-pytest-xdist python3-gmsh python3-sphinx python3-myst-parser python3-numpydoc furo libjs-katex"
 
 tests_of() {
   build=$1
   shift
-  PYTHONPATH=$PWD/build/$build/python /usr/bin/python3 -m pytest -p no:cacheprovider "$@"
+  PYTHONPATH=$PWD/build/$build/python /usr/bin/python3 -m pytest -p no:cacheprovider -n auto --dist loadfile "$@"
 }
 
 if [ "${1-}" = --quick ]; then
