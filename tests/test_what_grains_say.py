@@ -58,7 +58,7 @@ def test_four_small_cycles_lose_little_pressure(state, kept):
         assert p[-1] / p[0] == pytest.approx(share, abs=0.01)
 
 
-@pytest.mark.parametrize("mu, found, table_1", [(0.1, 0.97, 0.27), (0.3, 1.34, 0.51), (0.5, 1.04, 0.67)])
+@pytest.mark.parametrize("mu, found, table_1", [(0.1, 1.03, 0.27), (0.3, 1.24, 0.51), (0.5, 1.08, 0.67)])
 def test_a4_is_nearer_to_kinematic_than_table_1_is(mu, found, table_1):
     shares = []
     for run, counts in reversals(mu):
@@ -69,17 +69,17 @@ def test_a4_is_nearer_to_kinematic_than_table_1_is(mu, found, table_1):
     assert -law["a4"] / (2 * law["b2"]) == pytest.approx(table_1, abs=0.01)
     assert np.mean(shares) == pytest.approx(found, abs=0.02)
     error = np.std(shares, ddof=1) / np.sqrt(len(shares))
-    assert abs(np.mean(shares) - 1) < (2.5 if mu == 0.3 else 1) * error and abs(np.mean(shares) - table_1) > 3 * error
+    assert abs(np.mean(shares) - 1) < (1 if mu == 0.1 else 2) * error and abs(np.mean(shares) - table_1) > 5 * error
 
 
-@pytest.mark.parametrize("mu, line, parabola", [(0.1, 0.008, 0.007), (0.3, 0.010, 0.009), (0.5, 0.016, 0.012)])
+@pytest.mark.parametrize("mu, line, parabola", [(0.1, 0.008, 0.008), (0.3, 0.011, 0.009), (0.5, 0.018, 0.012)])
 def test_once_friction_has_turned_a_line_in_A_S_misses_the_stress_ratio_by_little_more_than_a_parabola(mu, line, parabola):
     found = np.mean([quadratic(run, counts)[1] for run, counts in reversals(mu)], axis=0)
-    np.testing.assert_allclose(found, (line, parabola), atol=0.003)
+    np.testing.assert_allclose(found, (line, parabola), atol=0.001)
 
 
-@pytest.mark.parametrize("mu, before, after", [(0.1, 0.084, 0.048), (0.3, 0.125, 0.086), (0.5, 0.146, 0.120)])
+@pytest.mark.parametrize("mu, before, after", [(0.1, 0.075, 0.034), (0.3, 0.128, 0.090), (0.5, 0.152, 0.127)])
 def test_N2_keeps_its_sign_in_the_first_0_02_of_a_reversal(mu, before, after):
     found = [[run.columns["N2/p"][rows].mean() for rows in (np.isinf(run.since_turn), counts & (run.since_turn <= 0.02))]
              for run, counts in reversals(mu)]
-    np.testing.assert_allclose(np.mean(found, axis=0), (before, after), atol=0.02)
+    np.testing.assert_allclose(np.mean(found, axis=0), (before, after), atol=0.005)

@@ -321,7 +321,7 @@ def figure_01() -> Figure:
     before, pause, after = _run("steady", turn=2, first=2), _run("pause", at=1), _run("reversal", at=2)
     pause = [run.having(time=1 + PAUSED * np.arange(len(run.columns["step"]))) for run in pause]
     notes = (r"$\mu$ = 0.5, $\phi$ = 0.60, constant volume, closure full: steady shear, pause, reversed shear",
-             _said(before, after) + "; it rests for 0.06",
+             _said(before, pause, after) + "; it rests for 0.06",
              "the model's stress follows from its state at once: its stress ratio jumps at the reversal")
     return _evolution(1, "unsteady simple shear at constant volume", notes, "p", histories, before + pause + after, "time")
 
