@@ -28,14 +28,15 @@ from profiles import profile
 
 HEIGHT, PRESSURE, PHI = 31.2, 0.005, 0.60               # of the whole box, in d and k/d
 START, FORTH, BACK = 3.1, 12.4, 8.1                     # slip of the whole box to steady shear, in it, and after the reversal, in d
-SLIP = 0.1                                              # of an increment, in d
-CREEP = 3e-4                                            # m at the top per slip, as of the grains; else it falls below round-off
+SLIP = 0.05                                             # of an increment, in d
+CREEP = 6e-4                                            # m at the top per slip, as of the grains; else it falls below round-off
 SIZE = 0.5                                              # of the cells, over the length
-GRADIENTS = (0.5, 0.3)
+GRADIENTS = {0.5: ("o", "-"), 0.3: ("s", "--"), 0.7: ("d", ":")}         # marker of the grains, line of the law
+SHOWN = 0.5                                             # gradient of which the reversal is drawn
 LAWS = {"full": (Material(0.5, closure="full", elastic_strain=0.01), 0.41),
         "kinematic": (Material(0.5, closure="kinematic", elastic_strain=0.01), 0.53),
         "mobilised, dem-2026": (Material(0.5, closure="mobilised", calibration="dem-2026"), 0.39)}
-SHORT = {"laws": {"full": (LAWS["full"][0], 1.0)}, "gradients": (0.5,), "size": 0.7, "back": 1.0}
+SHORT = {"laws": {"full": (LAWS["full"][0], 1.0)}, "gradients": (0.5,), "size": 0.7, "slip": 0.1, "back": 1.0}
 
 
 def pressure_at(z, gradient):
@@ -43,7 +44,7 @@ def pressure_at(z, gradient):
 
 
 # %%
-def shear_column(material, length, gradient, rows=62, back=BACK):
+def shear_column(material, length, gradient, rows=62, slip=SLIP, back=BACK):
     """A table as that of grains: steps, strain, height, stress, and the slip of the layers; the lower half mirrors the upper."""
     half, width = HEIGHT / 2, HEIGHT / 2 / rows
     mesh = fem.meshes.box(MPI.COMM_SELF, (width, half), (1, rows))
@@ -76,7 +77,7 @@ def shear_column(material, length, gradient, rows=62, back=BACK):
             found.append((problem.t, problem.reaction(top)[0][0] / width, *problem.displacement[line].T))
 
     for until in (START, turn, turn + back):
-        fem.run(problem, until, SLIP, observers=[watch])
+        fem.run(problem, until, slip, observers=[watch])
     return table(problem.positions[line, 1], gradient, *map(np.array, zip(*found)))
 
 
@@ -96,10 +97,15 @@ def table(z, gradient, t, tau, u_x, u_z):
 
 
 # %%
-def main(laws=LAWS, gradients=GRADIENTS, size=SIZE, back=BACK, out=None):
+def main(laws=LAWS, gradients=GRADIENTS, size=SIZE, slip=SLIP, back=BACK, out=None):
     columns = {}
     for (law, (material, length)), gradient in product(laws.items(), gradients):
-        columns[law, gradient] = one = shear_column(material, length, gradient, round(HEIGHT / 2 / (size * length)), back)
+        rows = round(HEIGHT / 2 / (size * length))
+        try:
+            columns[law, gradient] = one = shear_column(material, length, gradient, rows, slip, back)
+        except fem.SolveError as error:                                 # mobilised at a = 0.7, at its start
+            print(f"{law}, l = {length}, gradient {gradient}: {error}", flush=True)
+            continue
         steady = steady_profile(one)
         band = bands.measured_band(steady)
         found = dict(zip(("deviation", "width"), bands.width(band))) | bands.of_reversal(bands.Reversal.of(one), band)
@@ -119,30 +125,31 @@ def steady_profile(columns):
 def draw(columns):
     figure = Figure(figsize=(12.5, 3.8), layout="constrained")
     steady, slips, stress = figure.subplots(1, 3)
-    for number, gradient in enumerate(GRADIENTS):
+    for gradient, (marker, _) in GRADIENTS.items():
         place = COLLECTED / f"gradient{gradient:g}"
         seeds = [bands.folded_shear(bands.measured_band(one)) for one in bands.seeds_of(place, "steady-profile").values()]
         z, shear = np.mean(seeds, axis=0)
         spread = np.std([one[1] for one in seeds], axis=0)
         steady.fill_between(z, np.maximum(shear - spread, 1e-5), shear + spread, color="0.8", linewidth=0)
-        steady.plot(z, shear, "os"[number], color="0.3", markersize=4, markerfacecolor="none", label=f"grains, a = {gradient:g}")
-    band = bands.measured_band(read(COLLECTED / "gradient0.5" / "steady-profile_mean.csv"))
-    for seed in bands.seeds_of(COLLECTED / "gradient0.5", "reversal").values():
+        steady.plot(z, shear, marker, color="0.3", markersize=4, markerfacecolor="none", label=f"grains, a = {gradient:g}")
+    place = COLLECTED / f"gradient{SHOWN:g}"
+    band = bands.measured_band(read(place / "steady-profile_mean.csv"))
+    for seed in bands.seeds_of(place, "reversal").values():
         plot_reversal(slips, stress, bands.Reversal.of(seed), band, color="0.6", linewidth=0.8)
     slips.plot([], color="0.6", linewidth=0.8, label="packings of grains")
     slips.legend(frameon=False, fontsize=7.5)
     for (law, gradient), one in columns.items():
         band = bands.measured_band(steady_profile(one))
-        style = {"color": f"C{list(LAWS).index(law)}", "linestyle": "-" if gradient == GRADIENTS[0] else "--"}
-        label = f"{law}, l = {LAWS[law][1]:g} d" if gradient == GRADIENTS[0] else None
+        style = {"color": f"C{list(LAWS).index(law)}", "linestyle": GRADIENTS[gradient][1]}
+        label = f"{law}, l = {LAWS[law][1]:g} d" if gradient == SHOWN else None
         steady.plot(*bands.folded_shear(band), **style, label=label)
-        if gradient == GRADIENTS[0]:
+        if gradient == SHOWN:
             plot_reversal(slips, stress, bands.Reversal.of(one), band, **style)
     steady.set(yscale="log", ylim=(1e-4, 0.4), xlim=(0, 12), xlabel="distance from the middle [d]",
                ylabel="shear strain per slip [1/d]", title="steady")
     steady.legend(frameon=False, fontsize=7.5)
-    slips.set(xlabel="slip after the reversal [d]", ylabel="slip outside the band [d]", title="a = 0.5, after the reversal")
-    stress.set(xlabel="slip after the reversal [d]", ylabel="shear stress over that before", title="a = 0.5, after the reversal")
+    slips.set(xlabel="slip after the reversal [d]", ylabel="slip outside the band [d]", title=f"a = {SHOWN:g}, after the reversal")
+    stress.set(xlabel="slip after the reversal [d]", ylabel="shear stress over that before", title=f"a = {SHOWN:g}, after the reversal")
     return figure
 
 

@@ -108,7 +108,7 @@ def test_collected_histories_and_profiles_agree():
 
 @pytest.mark.parametrize("law", bands.LAWS)
 def test_grains_have_one_length_at_all_gradients(frictions, law):
-    """What would refute the length: more than 30 % between gradients."""
+    """More than 30 % between gradients would refute the length; packings of one gradient differ by 4 to 14 %."""
     lengths = {place: found[f"l {law}"][0] for place, programme, _, found in bands.summary(COLLECTED, {law: frictions[law]})
                if programme == "steady"}
-    assert len(lengths) >= 2 and max(lengths.values()) < 1.15 * min(lengths.values())
+    assert len(lengths) == 3 and max(lengths.values()) < 1.2 * min(lengths.values())
