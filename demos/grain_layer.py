@@ -148,8 +148,8 @@ def draw(columns):
     steady.set(yscale="log", ylim=(1e-4, 0.4), xlim=(0, 12), xlabel="distance from the middle [d]",
                ylabel="shear strain per slip [1/d]", title="steady")
     steady.legend(frameon=False, fontsize=7.5)
-    slips.set(xlabel="slip after the reversal [d]", ylabel="slip outside the band [d]", title=f"a = {SHOWN:g}, after the reversal")
-    stress.set(xlabel="slip after the reversal [d]", ylabel="shear stress over that before", title=f"a = {SHOWN:g}, after the reversal")
+    for axes, words in ((slips, "slip outside the band [d]"), (stress, "shear stress over that before")):
+        axes.set(xlabel="slip after the reversal [d]", ylabel=words, title=f"a = {SHOWN:g}, after the reversal")
     return figure
 
 
