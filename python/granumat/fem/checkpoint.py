@@ -26,6 +26,7 @@ from .trial import Snapshot, Trial
 POSITION_TOLERANCE = 1e-12          # over the body's size: nodes within this are where they were
 DISPLACEMENT_TOLERANCE = 1e-10      # over the body's size: prescribed displacements within this are as they were
 DESCRIPTION = ("fingerprint", "numbers", "residual", "residuals", "outputs")
+NO_ORIGIN = "the run until then has not kept the origin of the material: leave it out, or begin anew"
 COMPARED_DIGITS = 12                # of the values of functions, which round-off may change
 
 
@@ -108,7 +109,8 @@ def _cell_arrays(problem: Problem, last: Trial) -> dict[str, np.ndarray]:
             "states": problem.states.reshape(points), "shear_strain": problem.shear_strain.reshape(points),
             "volume_strain": problem.volume_strain.reshape(points), "gradients": last.gradients.reshape(*points, 3, 3),
             "volumes": last.volumes, "stress": last.stress, "forces": last.forces,
-            **({"m": at_cells(last.m)} if problem.length > 0 else {})}
+            **({"m": at_cells(last.m)} if problem.length > 0 else {}),
+            **({"origin": problem.origin.reshape(*points, problem.d)} if problem.origin is not None else {})}
 
 
 def _fingerprint(problem: Problem, t: float) -> dict[str, Any]:
@@ -208,7 +210,8 @@ def _shapes(problem: Problem) -> dict[str, tuple[int, ...]]:
     nodes, points = (problem.body.cell_nodes.shape[1], problem.d), (len(problem.body.element.weights),)
     return {"places": nodes, "displacement": nodes, "u": nodes, "states": points, "shear_strain": points, "volume_strain": points,
             "gradients": (*points, 3, 3), "volumes": points, "stress": (*points, 6), "forces": nodes,
-            **({"m": nodes[:1]} if problem.length > 0 else {})}
+            **({"m": nodes[:1]} if problem.length > 0 else {}),
+            **({"origin": (*points, problem.d)} if problem.origin is not None else {})}
 
 
 def _compare(path: str | Path, saved: dict[str, Any], fingerprint: dict[str, Any], arrays: dict[str, np.ndarray],
@@ -217,7 +220,7 @@ def _compare(path: str | Path, saved: dict[str, Any], fingerprint: dict[str, Any
     faults = [f"{name}: {saved.get(name)!r} in the checkpoint, {fingerprint.get(name)!r} here"
               for name in sorted(saved | fingerprint) if saved.get(name) != fingerprint.get(name)]
     if not faults:
-        faults += [f"it lacks the array {name!r}" for name in shapes if name not in arrays]
+        faults += [NO_ORIGIN if name == "origin" else f"it lacks the array {name!r}" for name in shapes if name not in arrays]
         for name, shape in shapes.items():
             expected = (len(positions), *shape), STATE if name == "states" else np.dtype(float)
             if name in arrays and (arrays[name].shape, arrays[name].dtype) != expected:
@@ -249,4 +252,5 @@ def _snapshot(problem: Problem, description: dict[str, Any], cell_arrays: dict[s
                  at_own_cells("stress"), at_own_cells("forces"), residual=description["residual"],
                  residuals=tuple(description["residuals"]))
     return Snapshot(numbers["t"], numbers["increments"], numbers["next_increment"], at_nodes("displacement"), states,
-                    at_points("shear_strain"), at_points("volume_strain"), last, numbers["is_ahead"])
+                    at_points("shear_strain"), at_points("volume_strain"),
+                    None if problem.origin is None else at_points("origin"), last, numbers["is_ahead"])

@@ -1,6 +1,6 @@
 """Convection of what integration points have to where the points of another mesh, of the same cells, are."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from mpi4py import MPI
@@ -91,7 +91,7 @@ class Convection:
         """Joins faces that one own cell has to copies: of other ranks' cells, of cells beyond periodic sides, of what flows in."""
         body, comm, d = self._body, self._comm, self._body.d
         beyond, turns = faces[single].copy(), np.tile(np.eye(3), (len(single), 1, 1))
-        is_periodic = np.zeros(len(single), bool)
+        shifts, is_periodic = np.zeros((len(single), 3)), np.zeros(len(single), bool)
         for condition in conditions:
             if isinstance(condition, Periodic):
                 at = body.nodes_at(condition.where)
@@ -100,13 +100,16 @@ class Convection:
                 partner[at] = body.owned_values_at(np.asarray(condition.partner(x), float), body.global_numbers)
                 found = (partner[nodes[single]] != ABSENT).all(axis=1)
                 beyond[found], is_periodic[found] = partner[nodes[single][found]], True
+                x = body.positions[nodes[single][found, 0]]
                 if condition.axes is not None:
-                    turns[found, :d, :d] = condition.axes(body.positions[nodes[single][found, 0]])
+                    turns[found, :d, :d] = condition.axes(x)
+                partners = np.asarray(condition.partner(x), float)
+                shifts[found, :d] = x - _applied(turns[found, :d, :d], partners)
         counts = comm.allgather(len(single))
         start = sum(counts[:comm.rank])
         owner = np.repeat(np.arange(comm.size), counts)
-        numbers, mapped, turned, periodic, places = (
-            np.concatenate(comm.allgather(part)) for part in (faces[single], beyond, turns, is_periodic, single))
+        numbers, mapped, turned, shifted, periodic, places = (
+            np.concatenate(comm.allgather(part)) for part in (faces[single], beyond, turns, shifts, is_periodic, single))
         pairs = _pairs(numbers, mapped, periodic)
         mine = [(here, there) for here, there in pairs if owner[here] == comm.rank]
         self._sent = [[places[here] // (2 * d) for here, there in sorted(pairs, key=lambda pair: pair[1])
@@ -121,6 +124,7 @@ class Convection:
         self._join(single[here - start], seen, copies, places[there] % (2 * d), others)
         self._turns = np.where(backward[:, None, None], turned[there].transpose(0, 2, 1), turned[here])
         self._is_turned = (self._turns != np.eye(3)).any(axis=(1, 2))
+        self._shifts = np.where(backward[:, None], -_applied(self._turns, shifted[there]), shifted[here])
 
         self._inflows: list[tuple[Inflow, np.ndarray, np.ndarray, np.ndarray]] = []      # with copies, faces, and nodes of these
         alone = np.setdiff1d(np.arange(len(single)), here - start)
@@ -163,44 +167,95 @@ class Convection:
         -------
         array (points, columns)
         """
+        return self._convected(values, self._entering(start), self._turn_tensors, start, end)
+
+    def convect_positions(self, positions: np.ndarray, volume_fraction: np.ndarray, start: np.ndarray,
+                          end: np.ndarray) -> np.ndarray:
+        """As convect, of positions that the material has had; what flows in has that of the inflow, where it has passed it.
+
+        Beyond periodic sides the positions are those beyond. Where there is a stress of a state there is a position here, so that
+        the limiter takes it as a whole, in any axes alike.
+
+        Parameters
+        ----------
+        positions : array (points, d)
+        volume_fraction : array (points)
+            Before.
+        start, end : array (nodes, d)
+
+        Returns
+        -------
+        array (points, d)
+        """
+        entering = [_with_positions(at, states["volume_fraction"])
+                    for at, states in zip(self._inflow_points(end), self._entering(start))]
+        values = core.numbers(_with_positions(positions, volume_fraction))
+        return self._convected(values, entering, self._move_positions, start, end)[:, :self._body.d].copy()
+
+    def _convected(self, values: np.ndarray, entering: Sequence[np.ndarray], cross: Callable[[np.ndarray], None],
+                   start: np.ndarray, end: np.ndarray) -> np.ndarray:
+        """What the points have of values (points, columns), as convect.
+
+        Parameters
+        ----------
+        values : array (points, columns)
+        entering : sequence of arrays (faces, points) of dtype STATE
+            What flows in at each inflow.
+        cross : function of values (copies, points, columns)
+            Makes of what cells have what their copies have.
+        start, end : array (nodes, d)
+        """
         cells, points = self._body.cells, 2**self._body.d
         here = np.zeros((self._all_cells, points, core.CONVECTED_NUMBERS))
         here[:cells, :, :values.shape[1]] = values.reshape(cells, points, -1)[:, self._point_at]
-        self._fill_inflows(here, start)
+        self._fill_inflows(here, entering)
         steps = max(1, int(np.ceil(self.swept(start, end) / SWEPT)))
         for step in range(steps):
             x, x_new = (self._body.at_cells(start + part / steps * (end - start)) for part in (step, step + 1))
-            self._fill_copies(here)
+            self._fill_copies(here, cross)
             ranges, stage = core.convection_ranges(x, self._neighbour, here), here.copy()
             for share in (0.0, 0.5):
                 if share:
-                    self._fill_copies(stage)
+                    self._fill_copies(stage, cross)
                 stage[:cells] = core.convection_stage(share, self._fabric_limit, x, x_new, self._neighbour, self._opposite,
                                                       self._wall, ranges, here, stage)
             here[:cells] = stage[:cells]
         return here[:cells, self._node_at, :values.shape[1]].reshape(values.shape)
 
-    def _fill_inflows(self, values: np.ndarray, x: np.ndarray) -> None:
-        """Gives the copies beyond inflows the state that flows in at the points of their faces, the nodes at x."""
-        d = self._body.d
+    def _inflow_points(self, x: np.ndarray) -> list[np.ndarray]:
+        """Positions (faces, points, d) of the points of each inflow's faces, the nodes at x."""
         to_points = np.eye(1)
-        for _ in range(d - 1):
+        for _ in range(self._body.d - 1):
             to_points = np.kron(to_points, LINEAR_AT_GAUSS)
-        for inflow, copies, sides, nodes in self._inflows:
-            at = to_points @ x[nodes]
-            state = inflow.state(at.reshape(-1, d)) if callable(inflow.state) else np.full(at.shape[:2], inflow.state)
-            entering = core.numbers(np.ascontiguousarray(state).reshape(-1)).reshape(*at.shape[:2], core.STATE_NUMBERS)
-            near = face_nodes(d)[sides]
-            for place in (near, near ^ (1 << sides // 2)[:, None]):
-                values[copies[:, None], place, :core.STATE_NUMBERS] = entering
+        return [to_points @ x[nodes] for *_, nodes in self._inflows]
 
-    def _fill_copies(self, values: np.ndarray) -> None:
-        """Gives the copies what the cells have that they are copies of."""
+    def _entering(self, x: np.ndarray) -> list[np.ndarray]:
+        """States (faces, points) that flow in at these points."""
+        entering = []
+        for (inflow, *_), at in zip(self._inflows, self._inflow_points(x)):
+            states = inflow.state(at.reshape(-1, self._body.d)) if callable(inflow.state) else np.full(at.shape[:2], inflow.state)
+            entering.append(np.ascontiguousarray(states).reshape(at.shape[:2]))
+        return entering
+
+    def _fill_inflows(self, values: np.ndarray, entering: Sequence[np.ndarray]) -> None:
+        """Gives the copies beyond inflows the states (faces, points) that flow in at the points of their faces."""
+        for (_, copies, sides, _), states in zip(self._inflows, entering):
+            near = face_nodes(self._body.d)[sides]
+            for place in (near, near ^ (1 << sides // 2)[:, None]):
+                values[copies[:, None], place, :core.STATE_NUMBERS] = core.numbers(states).reshape(*states.shape, -1)
+
+    def _fill_copies(self, values: np.ndarray, cross: Callable[[np.ndarray], None]) -> None:
+        """Gives the copies what the cells have that they are copies of, as it is across periodic sides."""
         cells, row = self._body.cells, values[0].size
         count = int(self._received.sum())
         sent = np.ascontiguousarray(values[np.concatenate(self._sent).astype(int)])
         received = np.empty((count, *values.shape[1:]))
         self._comm.Alltoallv([sent, [len(part) * row for part in self._sent]], [received, (self._received * row).tolist()])
+        cross(received)
+        values[cells:cells + count] = received
+
+    def _turn_tensors(self, received: np.ndarray) -> None:
+        """Turns tensors of the copies (copies, points, columns) as the periodic sides are."""
         turned = self._is_turned
         if turned.any():
             turns, some = self._turns[turned][:, None, None], received[turned]
@@ -208,13 +263,28 @@ class Convection:
             matrices = tensors.to_matrix(some[..., :TENSOR_COLUMNS].reshape(*shape[:2], -1, 6))
             some[..., :TENSOR_COLUMNS] = tensors.to_voigt(turns @ matrices @ np.swapaxes(turns, -1, -2)).reshape(shape)
             received[turned] = some
-        values[cells:cells + count] = received
+
+    def _move_positions(self, received: np.ndarray) -> None:
+        """Turns and shifts positions of the copies (copies, points, columns) as the periodic sides are."""
+        received[..., :3] = _applied(self._turns[:, None], received[..., :3]) + self._shifts[:, None]
 
 
 def face_nodes(d: int) -> np.ndarray:
     """Local nodes (2 d, 2^(d - 1)) of the faces of a quadrilateral or hexahedron: face 2 k + s is where coordinate k is s."""
     nodes = np.arange(2**d)
     return np.array([nodes[nodes >> k & 1 == s] for k in range(d) for s in (0, 1)])
+
+
+def _with_positions(positions: np.ndarray, volume_fraction: np.ndarray) -> np.ndarray:
+    """States (...) that have positions (..., d) where others have the first components of their stresses."""
+    states = np.zeros(volume_fraction.shape, core.STATE)
+    states["volume_fraction"], states["stress"][..., :positions.shape[-1]] = volume_fraction, positions
+    return states
+
+
+def _applied(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., n), turned by matrices (..., n, n)."""
+    return (turns @ vectors[..., None])[..., 0]
 
 
 def _pairs(numbers: np.ndarray, mapped: np.ndarray, periodic: np.ndarray) -> list[tuple[int, int]]:

@@ -24,14 +24,16 @@ FIELDS = {
     "dilatancy": "dilatancy tr $D/|S|$", "eta_t": "transverse modulus $\\eta_t$",
     "nonlocal_strain": "nonlocal strain $m$", "R": "local over nonlocal strain $R = |D|/m$",
     "unjammed": "unjammed part of the volume",
+    "origin": "origin $X$",
     "stress": "stress $\\sigma\\,d/k$", "strain": "logarithmic strain $e$", "fabric": "fabric $A$",
 }
 TENSORS = {"stress": "sigma", "strain": "e", "fabric": "A"}         # names of the components' columns in histories begin so
 COMPONENTS = {f"{symbol}_{axis}": (name, i) for name, symbol in TENSORS.items() for i, axis in enumerate(tensors.AXES)}
-SCALAR_FIELDS = [*(name for name in FIELDS if name not in ("A_direction", *TENSORS)), *COMPONENTS]
+COMPONENTS |= {f"origin_{axis}": ("origin", i) for i, axis in enumerate("xyz")}
+SCALAR_FIELDS = [*(name for name in FIELDS if name not in ("A_direction", "origin", *TENSORS)), *COMPONENTS]
 OF_LENGTH = ("nonlocal_strain", "R")
 # If nothing else is asked for:
-RECORDED = tuple(name for name in FIELDS if name not in ("q", "unjammed", *TENSORS, *OF_LENGTH))
+RECORDED = tuple(name for name in FIELDS if name not in ("q", "unjammed", "origin", *TENSORS, *OF_LENGTH))
 XDMF_ORDER = [0, 3, 4, 1, 5, 2]     # xx xy xz yy yz zz
 ROUND_OFF = 1e-9                    # a component of a unit vector below, or a shear over a volume strain, counts as 0
 
@@ -47,10 +49,9 @@ def field_label(name: str) -> str:
     name = column_name(name)
     if name not in COMPONENTS:
         return FIELDS[name]
-    tensor, i = COMPONENTS[name]
-    words, symbol = FIELDS[tensor].split("$")[:2]
+    words, symbol = FIELDS[COMPONENTS[name][0]].split("$")[:2]
     letter, _, unit = symbol.partition("\\,")
-    return f"{words}${letter}_{{{tensors.AXES[i]}}}{unit and chr(92) + ',' + unit}$"
+    return f"{words}${letter}_{{{name.split('_')[1]}}}{unit and chr(92) + ',' + unit}$"
 
 
 def cell_fields(problem: Problem, names: Sequence[str] | None = None) -> dict[str, np.ndarray]:
@@ -60,19 +61,20 @@ def cell_fields(problem: Problem, names: Sequence[str] | None = None) -> dict[st
     ----------
     problem : Problem
     names : sequence of str, optional
-        From FIELDS, COMPONENTS ("sigma_xx" ... "sigma_yz", "e_xx" ..., "A_xx" ...) and history.WORDS; all FIELDS that there are if
-        not given.
+        From FIELDS, COMPONENTS ("sigma_xx" ... "sigma_yz", "e_xx" ..., "A_xx" ..., "origin_x" ...) and history.WORDS; all FIELDS
+        that there are if not given.
 
     Returns
     -------
     dict of str to array
-        (cells,); A_direction (cells, 3); stress, strain, fabric (cells, 6). Stresses and p are compression positive, strains
+        (cells,); A_direction and origin (cells, 3); stress, strain, fabric (cells, 6). Stresses and p are compression positive, strains
         extension positive. strain is the logarithmic strain since the start, ln(F F^T)/2, along x y z. q is sqrt(3 J2). A is abs(A)
         of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of which the first component that is not
         0 is positive; it is 0 where there is no fabric. dilatancy is that of the last increment, 0 where it had no shear.
         nonlocal_strain is m of the last increment, abs(D) without a length, and R the mean abs(D) over it, 1 where it is 0.
-        unjammed is the part of the cell's volume where p = 0. Where the mesh does not follow the material, there is no strain
-        since the start.
+        unjammed is the part of the cell's volume where p = 0. origin is where the material was at the start or has flowed in, its
+        z component 0 in the plane, if the problem keeps it. Where the mesh does not follow the material, there is no strain since
+        the start.
 
     Raises
     ------
@@ -80,12 +82,14 @@ def cell_fields(problem: Problem, names: Sequence[str] | None = None) -> dict[st
         Names every field that does not exist.
     """
     faults: list[str] = []
+    lacking = {"strain": "the strain since the start is not known where the mesh does not follow the material"
+               } if problem.moving_mesh is not None else {}
+    if problem.origin is None:
+        lacking["origin"] = "where the material has come from is not kept: give Problem(..., origin=True)"
     if names is None:
-        names = [name for name in FIELDS if name != "strain" or problem.moving_mesh is None]
+        names = [name for name in FIELDS if name not in lacking]
     check_fields(names, (*FIELDS, *COMPONENTS), faults)
-    if problem.moving_mesh is not None:
-        faults += [f"{name}: the strain since the start is not known where the mesh does not follow the material"
-                   for name in names if name == "strain" or COMPONENTS.get(column_name(name), ("",))[0] == "strain"]
+    faults += [f"{name}: {lacking[_field_of(name)]}" for name in names if isinstance(name, str) and _field_of(name) in lacking]
     refuse("the fields cannot be given", faults)
     states, volumes = problem.states, problem.point_volumes().reshape(problem.cells, -1)
     weights = volumes / volumes.sum(axis=1, keepdims=True)
@@ -111,11 +115,19 @@ def cell_fields(problem: Problem, names: Sequence[str] | None = None) -> dict[st
               "shear_strain": mean(problem.shear_strain), "volume_strain": mean(problem.volume_strain), "dilatancy": dilatancy,
               "nonlocal_strain": m, "R": R, "eta_t": mean(problem.material.transverse_modulus(states)),
               "unjammed": mean((tensors.trace(states["stress"]) >= 0).astype(float)), "stress": -stress, "fabric": fabric}
-    wanted = [column_name(name) for name in names]
-    if any(name == "strain" or COMPONENTS.get(name, ("",))[0] == "strain" for name in wanted):
+    if "strain" in map(_field_of, names):
         fields["strain"] = mean(point_strains(problem))
+    if problem.origin is not None:
+        fields["origin"] = _in_space(mean(problem.origin))
+    columns = [column_name(name) for name in names]
     return {given: fields[COMPONENTS[name][0]][:, COMPONENTS[name][1]] if name in COMPONENTS else fields[name]
-            for given, name in zip(names, wanted)}
+            for given, name in zip(names, columns)}
+
+
+def _field_of(name: str) -> str:
+    """The one of FIELDS that a name or a component's name belongs to."""
+    name = column_name(name)
+    return COMPONENTS[name][0] if name in COMPONENTS else name
 
 
 def _strains_of_last(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
@@ -160,8 +172,8 @@ class Fields(Output):
     times : sequence of float, optional
         Pseudo-times at which there are records too; make them `events` of the run.
     fields : sequence of str, optional
-        As in cell_fields; RECORDED if not given, and OF_LENGTH where the problem has a length. Where the mesh does not follow the
-        material, unjammed too. Tensors have XDMF's order of components, xx xy xz yy yz zz.
+        As in cell_fields; RECORDED if not given, OF_LENGTH where the problem has a length, and origin where it keeps that. Where
+        the mesh does not follow the material, unjammed too. Tensors have XDMF's order of components, xx xy xz yy yz zz.
 
     Raises
     ------
@@ -203,6 +215,7 @@ class Fields(Output):
         names = self.fields
         if names is None:
             names = RECORDED if problem.nonlocal_field is None else RECORDED + OF_LENGTH
+            names = names if problem.origin is None else (*names, "origin")
         if problem.moving_mesh is not None and "unjammed" not in names:
             names = (*names, "unjammed")
         fields = {name: mesh.order.gather(values) for name, values in cell_fields(problem, names).items()}

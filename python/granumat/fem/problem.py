@@ -89,6 +89,8 @@ class Problem:
         Laplace's equation; or as a function says, of the nodes' positions (nodes, d), of where the material has taken them
         (nodes, d), and of the pseudo-time, which returns where they go. All but the first need quadrilaterals or hexahedra of
         degree 1.
+    origin : bool, optional
+        Whether it is kept where the material has come from. Where the mesh does not follow it, the convection costs twice as much.
     facet_tags : dolfinx.mesh.MeshTags, optional
         What numbers in the conditions' `where` mean.
     tolerances : Tolerances, optional
@@ -112,6 +114,9 @@ class Problem:
         Of this rank's own cells, cell by cell.
     shear_strain, volume_strain : array (points)
         Accumulated 2 integral abs(S) ds, and integral of tr D.
+    origin : array (points, d) or None
+        Where the material that is at the points now was at the start, or where it has flowed in. What has come across a periodic
+        side is thought to come from beyond it. None unless it is asked for.
     increments : int
         How many were accepted.
     last : Trial or None
@@ -140,10 +145,11 @@ class Problem:
 
     def __init__(self, mesh: dolfinx.mesh.Mesh, material: Material, state: np.void | Callable, conditions: Sequence[object] = (), *,
                  degree: int = 1, gravity: Sequence[float] | None = None, rate_term: float = 0.0, length: float = 0.0,
-                 motion: Motion = "lagrangian", facet_tags: FacetTags | None = None, tolerances: Tolerances = Tolerances(),
-                 solver: dict[str, object] | None = None) -> None:
+                 motion: Motion = "lagrangian", origin: bool = False, facet_tags: FacetTags | None = None,
+                 tolerances: Tolerances = Tolerances(), solver: dict[str, object] | None = None) -> None:
         check_type("mesh", mesh, dolfinx.mesh.Mesh, "a dolfinx.mesh.Mesh")
         check_type("material", material, Material, "a Material")
+        check_type("origin", origin, bool, "True or False")
         check_type("tolerances", tolerances, Tolerances, "a Tolerances")
         check_type("solver", solver, (dict, NoneType), "a dict of PETSc options")
         refuse("the problem cannot be set up", _faults(mesh, material, conditions, degree, gravity, rate_term, length, motion))
@@ -173,6 +179,7 @@ class Problem:
         self.states: np.ndarray = np.empty(points, STATE).view(np.recarray)
         self.states[:] = together(self.comm, self._initial_states)
         self.shear_strain, self.volume_strain = np.zeros(points), np.zeros(points)
+        self.origin = self.point_positions() if origin else None
         self.loads = Loads(self.body, self.conditions, gravity, self.states["volume_fraction"] * self.point_volumes())
 
     def _initial_states(self) -> Any:
@@ -282,8 +289,11 @@ class Problem:
         assert self.moving_mesh is not None and self.last is not None
         material = self.positions + self.displacement
         new = self.moving_mesh.target(material - self.last.u, material, self.t)
+        convection = self.moving_mesh.convection
+        if self.origin is not None:
+            self.origin = convection.convect_positions(self.origin, self.states["volume_fraction"], material, new)
         values = np.column_stack([numbers(self.states), self.shear_strain, self.volume_strain])
-        values = self.moving_mesh.convection.convect(values, material, new)
+        values = convection.convect(values, material, new)
         self.states = np.ascontiguousarray(values[:, :STATE_NUMBERS]).view(STATE).reshape(-1).view(np.recarray)
         self.shear_strain, self.volume_strain = values[:, STATE_NUMBERS:].T.copy()
         self.displacement, self.is_ahead = new - self.positions, False

@@ -111,7 +111,7 @@ def problem_of(scene: Scene, comm: MPI.Comm) -> tuple[Problem, dict[str, Where]]
                   for condition in _conditions(entry, wheres[entry.on], size, scene.mesh["kind"], initial)]
     if "angle" in scene.mesh:
         conditions.append(_tie_of_sector(scene.mesh["angle"]))
-    problem = Problem(mesh, scene.material, initial, conditions, facet_tags=tags, **scene.settings)
+    problem = Problem(mesh, scene.material, initial, conditions, facet_tags=tags, origin=scene.output.origin, **scene.settings)
     return problem, {str(entry.on): wheres[entry.on] for entry in scene.conditions if entry.is_held}
 
 

@@ -147,6 +147,11 @@ class OutputRequest:
     center: list[float] | None
     checkpoint: dict[str, Any]
 
+    @property
+    def origin(self) -> bool:
+        """Whether it has to be kept where the material has come from, since a field shows it."""
+        return any(name.startswith("origin") for name in (*(self.fields or ()), *self.pictures))
+
 
 @dataclass(frozen=True)
 class Region:

@@ -78,5 +78,6 @@ class Snapshot:
     states: np.ndarray
     shear_strain: np.ndarray
     volume_strain: np.ndarray
+    origin: np.ndarray | None
     last: Trial | None
     is_ahead: bool
