@@ -135,6 +135,8 @@ def test_a_checkpoint_of_another_problem_is_refused_with_every_difference(checkp
         fem.resume(checkpoint, problem(cells=(4, 2)))
     with pytest.raises(ValueError, match=r"positions of the nodes: up to 0\.1 apart"):
         fem.resume(checkpoint, problem(size=(1.0, 1.1)))
+    with pytest.raises(ValueError, match="has not kept the origin of the material: leave it out"):
+        fem.resume(checkpoint, problem(origin=True))
 
 
 def test_what_is_no_checkpoint_is_refused(checkpoint, tmp_path):

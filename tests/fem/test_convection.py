@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mpi4py import MPI
 
-from granumat import fem, tensors
+from granumat import Material, fem, tensors
 from granumat.core import STATE, numbers
 from granumat.fem.body import Body
 from granumat.fem.convection import Convection
@@ -120,21 +120,27 @@ def test_the_same_in_any_axes(d):
     assert found == pytest.approx(turned(convection.convect(values, x, x_new), rotation), abs=1e-11)
 
 
+def ring_of(rings, sectors, part, radii, axes=POLAR):
+    """A ring of so many sectors, or a part of it, whose sides are periodic then."""
+    angle = 2 * np.pi / part
+    body = Body(fem.meshes.annulus(MPI.COMM_WORLD, radii, (rings, sectors // part), angle=angle), 1)
+    ties = [] if part == 1 else [fem.Periodic(lambda x: np.isclose(np.arctan2(x[1], x[0]), angle),
+                                              lambda x: np.column_stack([np.hypot(*x.T), 0 * x[:, 1]]), axes)]
+    return body, Convection(body, ties, KAPPA)
+
+
 def half_turn(sectors=96, part=1, axes=POLAR):
     """What a rigid turn by half a turn leaves of a pattern cos 3 theta in Z2 and of a fabric along the radius.
 
     The material turns by a quarter of a sector, its tensors with it, then the mesh turns back, and so on.
     """
-    rings, angle, sector = 3, 2 * np.pi / part, 2 * np.pi / sectors
-    body = Body(fem.meshes.annulus(MPI.COMM_WORLD, (1, 1.3), (rings, sectors // part), angle=angle), 1)
-    ties = [] if part == 1 else [fem.Periodic(lambda x: np.isclose(np.arctan2(x[1], x[0]), angle),
-                                              lambda x: np.column_stack([np.hypot(*x.T), 0 * x[:, 1]]), axes)]
-    convection, x = Convection(body, ties, KAPPA), body.positions
+    body, convection = ring_of(3, sectors, part, (1, 1.3), axes)
+    x = body.positions
     theta = np.arctan2(*body.point_positions(body.at_cells(x)).T[::-1])
     values = np.zeros((len(theta), 22))
     values[:, PHI], values[:, 18] = 0.6, 4 + np.cos(3 * theta)
     values[:, 6], values[:, 7], values[:, 9] = 0.044 * np.array([np.cos(2 * theta), -np.cos(2 * theta), np.sin(2 * theta)])
-    start, step = values, about_z(sector / 4)
+    start, step = values, about_z(np.pi / 2 / sectors)
     for _ in range(2 * sectors):
         values = convection.convect(turned(values, step), x @ step[:2, :2].T, x)
     kept = (values[:, 18] - 4) @ -np.cos(3 * theta) / (np.cos(3 * theta)**2).sum()
@@ -176,6 +182,65 @@ def test_what_flows_in_replaces_what_flows_out(d):
     assert values[:, 20:] == pytest.approx(0, abs=1e-10)
 
 
+def origins_turned_back(n, part=1):
+    """Errors of origins in a ring that has turned by half a turn in a mesh that stays, and of their mean by solid."""
+    sectors = 24 * n
+    body, convection = ring_of(3 * n, sectors, part, (1, 2))
+    x, step = body.positions, about_z(np.pi / 2 / sectors)[:2, :2]
+    at = body.point_positions(body.at_cells(x))
+    values = np.zeros((len(at), 22))
+    values[:, PHI] = 0.6 + 0.05 * np.sin(3 * np.arctan2(*at.T[::-1]))
+    origins, solid = at, values[:, PHI] * volumes(body, x)[:, 0]
+    mean = solid @ origins / solid.sum()
+    for _ in range(2 * sectors):
+        origins = convection.convect_positions(origins, values[:, PHI], x @ step.T, x)
+        values = convection.convect(values, x @ step.T, x)
+    solid = values[:, PHI] * volumes(body, x)[:, 0]
+    return np.linalg.norm(origins + at, axis=1), solid @ origins / solid.sum() - mean
+
+
+def test_after_half_a_turn_the_origin_of_a_point_is_the_point_turned_back():
+    (coarse, _), (fine, change) = (origins_turned_back(n) for n in (1, 2))
+    assert np.sqrt((coarse**2).mean() / (fine**2).mean()) > 3.5
+    assert fine.max() < 2.5e-3 and abs(change).max() < 1e-13       # the solid's mean is kept
+    sector, _ = origins_turned_back(1, 3)
+    assert np.sort(np.tile(sector, 3)) == pytest.approx(np.sort(coarse), abs=1e-11)        # it is a third of the ring
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_origins_beyond_periodic_sides_are_those_of_the_material_that_goes_on_there(d):
+    body, _, _ = two_meshes(d)
+    x, sheared = body.positions, np.eye(d)
+    sheared[0, -1] = 0.4 / BOXES[d][0]
+    sides = fem.Periodic(lambda x: np.isclose(x[0], 1), lambda x: x - np.eye(d)[0])
+    at = body.point_positions(body.at_cells(x))
+    convection, origins = Convection(body, [sides], KAPPA), at
+    for _ in range(30):                                          # the upper side by more than one length of the box
+        origins = convection.convect_positions(origins, np.full(len(at), 0.6), x @ sheared.T, x)
+    assert origins == pytest.approx(at @ np.linalg.matrix_power(sheared, -30).T, abs=1e-12)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_what_has_flowed_in_comes_from_where_it_passed_the_inflow(d):
+    """A box through which material flows at an angle; it is periodic along the last axis."""
+    errors = []
+    for n in {2: (12, 24), 3: (6, 12)}[d]:
+        body, _, _ = two_meshes(d, (n, *(2,) * (d - 2), 4))
+        x, step = body.positions, np.zeros(d)
+        step[[0, -1]] = 0.125 / n, 0.05 / n
+        at = body.point_positions(body.at_cells(x))
+        entering = Material(0.5).isotropic(0.6, pressure=0.01)
+        convection, origins = Convection(body, [
+            fem.Inflow(lambda x: np.isclose(x[0], 0), entering), fem.Outflow(lambda x: np.isclose(x[0], 1)),
+            fem.Periodic(lambda x: np.isclose(x[d - 1], 1), lambda x: x - np.eye(d)[-1])], KAPPA), at
+        for _ in range(4 * n):                                   # by half the length
+            origins = convection.convect_positions(origins, np.full(len(at), 0.6), x + step, x)
+        passed = np.minimum(4 * n, at[:, 0] / step[0])           # steps since it was there
+        errors.append(abs(origins - (at - passed[:, None] * step)).max(axis=1))
+    away = abs(at[:, 0] - 0.5) > 0.25
+    assert errors[1][away].max() < 2e-3 and errors[1].mean() < errors[0].mean() / 2.5      # between old and new there is a kink
+
+
 SCRIPT = """
 import sys
 sys.path[:0] = sys.argv[1:]
@@ -184,8 +249,9 @@ from granumat.fem.cellwise import CellOrder
 for d in (2, 3):
     body, x, x_new = two_meshes(d)
     order = CellOrder(body.mesh)
-    found = Convection(body, [], KAPPA).convect(waves(body, x), x, x_new)
-    found = order.gather(found.reshape(body.cells, -1))
+    found, at = Convection(body, [], KAPPA).convect(waves(body, x), x, x_new), body.point_positions(body.at_cells(x))
+    origins = Convection(body, [], KAPPA).convect_positions(at**2, waves(body, x)[:, PHI], x, x_new)
+    found = order.gather(np.column_stack([found, origins]).reshape(body.cells, -1))
     if MPI.COMM_WORLD.rank == 0:
         print(*map(repr, found.ravel()[::37].tolist()))
 kept, fabric, values = half_turn(24, 3)

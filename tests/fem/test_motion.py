@@ -57,6 +57,19 @@ def test_uniform_shear_goes_on_as_at_a_point(length):
     assert problem.displacement == pytest.approx(problem.last.u)  # the mesh is where it was
 
 
+@pytest.mark.parametrize("motion", ["fixed", "lagrangian"])
+def test_the_origin_of_what_is_sheared_uniformly_is_where_it_was(motion, tmp_path):
+    problem = layer(motion, origin=True)
+    fem.run(problem, 1, 0.05)
+    expected = problem.point_positions() - [1, 0] * problem.point_positions()[:, 1:]
+    assert problem.origin == pytest.approx(expected, abs=1e-7)
+    fields = fem.cell_fields(problem, ["origin", "origin_y"])
+    assert fields["origin"] == pytest.approx(np.pad(expected.reshape(-1, 4, 2).mean(axis=1), ((0, 0), (0, 1))), abs=1e-7)
+    assert (fields["origin_y"] == fields["origin"][:, 1]).all()
+    with pytest.raises(ValueError, match=r"origin_x: .* is not kept: give Problem\(\.\.\., origin=True\)"):
+        fem.cell_fields(layer(motion), ["origin_x"])
+
+
 @pytest.mark.parametrize("wall, motion", [("volume", "fixed"), ("volume", "boundary"), ("load", "boundary"),
                                           ("volume", lambda x, material, t: x)])
 def test_the_ring_has_the_torque_of_a_mesh_that_moves_with_the_material(wall, motion):
@@ -245,6 +258,7 @@ inflow = true
 until = 20
 increment = 0.5
 [output]
+fields = ["p", "origin"]
 pictures = ["p"]
 """
 
@@ -255,6 +269,7 @@ def test_a_scene_with_what_flows_through(tmp_path):
     assert column.t == 20 and column.states.volume_fraction == pytest.approx(0.6, rel=1e-9)
     *_, (_, _, last) = records(tmp_path / "out/fields.xdmf")
     assert last["unjammed"] == pytest.approx(0) and last["p"] == pytest.approx(0.01)
+    assert last["origin"][:, 1] == pytest.approx(1, abs=1e-5) and last["origin"][:3, 0] == pytest.approx(np.array([1, 3, 5]) / 12)
 
 
 LAYER = replaced(scenes.BOX, {
@@ -321,7 +336,7 @@ import sys
 sys.path[:0] = sys.argv[1:3]
 from test_motion import *
 from granumat.fem.cellwise import CellOrder
-problem, inner = annular_cell.ring(SAND, 3, 4, 1.0, part=1 / 9, motion="boundary")
+problem, inner = annular_cell.ring(SAND, 3, 4, 1.0, part=1 / 9, motion="boundary", origin=True)
 out = Path(sys.argv[3])
 path = out / "checkpoint.npz"
 if path.exists():
@@ -334,7 +349,7 @@ problem.move_mesh()
 numbers = problem.states.view(float).reshape(problem.cells, -1, 20)
 final = [order.gather(np.ascontiguousarray(values).reshape(problem.cells, -1)) for values in (
     numbers[..., :6], numbers[..., 6:12], numbers[..., 12:18], numbers[..., 18], numbers[..., 19],
-    problem.body.at_cells(problem.displacement), problem.shear_strain, problem.volume_strain)]
+    problem.body.at_cells(problem.displacement), problem.shear_strain, problem.volume_strain, problem.origin)]
 if MPI.COMM_WORLD.rank == 0:
     print(repr(float(torque)))
     for values in final:

@@ -67,11 +67,11 @@ def cell_fields(problem: Problem, names: Sequence[str] | None = None) -> dict[st
     Returns
     -------
     dict of str to array
-        (cells,); A_direction and origin (cells, 3); stress, strain, fabric (cells, 6). Stresses and p are compression positive, strains
-        extension positive. strain is the logarithmic strain since the start, ln(F F^T)/2, along x y z. q is sqrt(3 J2). A is abs(A)
-        of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of which the first component that is not
-        0 is positive; it is 0 where there is no fabric. dilatancy is that of the last increment, 0 where it had no shear.
-        nonlocal_strain is m of the last increment, abs(D) without a length, and R the mean abs(D) over it, 1 where it is 0.
+        (cells,); A_direction and origin (cells, 3); stress, strain, fabric (cells, 6). Stresses and p are compression positive,
+        strains extension positive. strain is the logarithmic strain since the start, ln(F F^T)/2, along x y z. q is sqrt(3 J2). A
+        is abs(A) of the mean fabric and A_direction the unit eigenvector of its largest eigenvalue, of which the first component
+        that is not 0 is positive; it is 0 where there is no fabric. dilatancy is that of the last increment, 0 where it had no
+        shear. nonlocal_strain is m of the last increment, abs(D) without a length, and R the mean abs(D) over it, 1 where it is 0.
         unjammed is the part of the cell's volume where p = 0. origin is where the material was at the start or has flowed in, its
         z component 0 in the plane, if the problem keeps it. Where the mesh does not follow the material, there is no strain since
         the start.
