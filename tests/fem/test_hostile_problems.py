@@ -72,6 +72,7 @@ CALLS = [
     (lambda: problem(gravity="down"), ValueError, "gravity = 'down'"),
     (lambda: problem(gravity=[0, 1j]), ValueError, "must be 2 finite numbers"),
     (lambda: problem(rate_term=np.nan), ValueError, "rate_term = nan"),
+    (lambda: problem(origin=1), TypeError, "origin = 1: must be True or False"),
     (lambda: problem(tolerances={"force": 1e-8}), TypeError, "must be a Tolerances"),
     (lambda: problem(solver="lu"), TypeError, "must be a dict of PETSc options"),
     (lambda: problem(solver={"pc_type": "foo"}), ValueError, "find requested PC type foo"),
