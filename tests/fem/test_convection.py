@@ -250,7 +250,9 @@ for d in (2, 3):
     body, x, x_new = two_meshes(d)
     order = CellOrder(body.mesh)
     found, at = Convection(body, [], KAPPA).convect(waves(body, x), x, x_new), body.point_positions(body.at_cells(x))
-    origins = Convection(body, [], KAPPA).convect_positions(at**2, waves(body, x)[:, PHI], x, x_new)
+    flow = Convection(body, [fem.Inflow(lambda x: x[0] < 1e-9, Material(0.5).isotropic(0.6, pressure=0.01)),
+                             fem.Outflow(lambda x: x[0] > 1 - 1e-9)], KAPPA)
+    origins = flow.convect_positions(at**2, waves(body, x)[:, PHI], x + 0.03 * np.eye(d)[0], x_new)
     found = order.gather(np.column_stack([found, origins]).reshape(body.cells, -1))
     if MPI.COMM_WORLD.rank == 0:
         print(*map(repr, found.ravel()[::37].tolist()))

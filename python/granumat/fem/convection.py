@@ -240,9 +240,10 @@ class Convection:
     def _fill_inflows(self, values: np.ndarray, entering: Sequence[np.ndarray]) -> None:
         """Gives the copies beyond inflows the states (faces, points) that flow in at the points of their faces."""
         for (_, copies, sides, _), states in zip(self._inflows, entering):
+            numbers = core.numbers(states).reshape(*states.shape, core.STATE_NUMBERS)
             near = face_nodes(self._body.d)[sides]
             for place in (near, near ^ (1 << sides // 2)[:, None]):
-                values[copies[:, None], place, :core.STATE_NUMBERS] = core.numbers(states).reshape(*states.shape, -1)
+                values[copies[:, None], place, :core.STATE_NUMBERS] = numbers
 
     def _fill_copies(self, values: np.ndarray, cross: Callable[[np.ndarray], None]) -> None:
         """Gives the copies what the cells have that they are copies of, as it is across periodic sides."""
