@@ -427,10 +427,10 @@ contains
     fabric_square = contraction(values(FABRIC:FABRIC + 5), values(FABRIC:FABRIC + 5))
   end function fabric_square
 
-  !> Columns on a face, from those of the two points on its normal.
-  pure function extrapolated(near, far) result(trace)
-    real(dp), intent(in), dimension(COLUMNS) :: near, far
-    real(dp) :: trace(COLUMNS)
+  !> A column on a face, from that of the two points on its normal.
+  pure elemental function extrapolated(near, far) result(trace)
+    real(dp), intent(in) :: near, far
+    real(dp) :: trace
     trace = near + BEYOND * (near - far)
   end function extrapolated
 

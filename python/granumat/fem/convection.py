@@ -151,8 +151,11 @@ class Convection:
 
         A number without bounds where a cell is inverted.
         """
-        swept = core.swept_volumes(self._body.at_cells(start), self._body.at_cells(end))
-        return self._comm.allreduce(swept.max(initial=0.0), MPI.MAX)
+        return self._swept_of(self._body.at_cells(start), self._body.at_cells(end))
+
+    def _swept_of(self, start: np.ndarray, end: np.ndarray) -> float:
+        """The same between positions (cells, nodes per cell, d) of the cells' nodes."""
+        return self._comm.allreduce(core.swept_volumes(start, end).max(initial=0.0), MPI.MAX)
 
     def convect(self, values: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
         """What the points have once the nodes have gone from start to end while the material stayed; collective.
@@ -206,20 +209,20 @@ class Convection:
         start, end : array (nodes, d)
         """
         cells, points = self._body.cells, 2**self._body.d
-        here = np.zeros((self._all_cells, points, core.CONVECTED_NUMBERS))
+        here, first, second = np.zeros((3, self._all_cells, points, core.CONVECTED_NUMBERS))    # before a substep, its stages
         here[:cells, :, :values.shape[1]] = values.reshape(cells, points, -1)[:, self._point_at]
-        self._fill_inflows(here, entering)
-        steps = max(1, int(np.ceil(self.swept(start, end) / SWEPT)))
+        for stage in (here, first, second):
+            self._fill_inflows(stage, entering)
+        at_start, at_end = self._body.at_cells(start), self._body.at_cells(end)
+        steps = max(1, int(np.ceil(self._swept_of(at_start, at_end) / SWEPT)))
         for step in range(steps):
-            x, x_new = (self._body.at_cells(start + part / steps * (end - start)) for part in (step, step + 1))
+            x, x_new = (at_start + part / steps * (at_end - at_start) for part in (step, step + 1))
             self._fill_copies(here, cross)
-            ranges, stage = core.convection_ranges(x, self._neighbour, here), here.copy()
-            for share in (0.0, 0.5):
-                if share:
-                    self._fill_copies(stage, cross)
-                stage[:cells] = core.convection_stage(share, self._fabric_limit, x, x_new, self._neighbour, self._opposite,
-                                                      self._wall, ranges, here, stage)
-            here[:cells] = stage[:cells]
+            given = x, x_new, self._neighbour, self._opposite, self._wall, core.convection_ranges(x, self._neighbour, here), here
+            core.convection_stage(0.0, self._fabric_limit, *given, here, first[:cells])
+            self._fill_copies(first, cross)
+            core.convection_stage(0.5, self._fabric_limit, *given, first, second[:cells])
+            here, second = second, here
         return here[:cells, self._node_at, :values.shape[1]].reshape(values.shape)
 
     def _inflow_points(self, x: np.ndarray) -> list[np.ndarray]:
