@@ -19,6 +19,7 @@ elastic strain. Six components are xx yy zz xy xz yz."""
 N_CONSTANTS = 20                                      # as in granumat_parameters
 STATE_NUMBERS = STATE.itemsize // 8
 CONVECTED_NUMBERS = 24                                # of a point: a state's and four more, COLUMNS of granumat_convection
+CONVECTION_RANGES = 76                                # of a cell, RANGES of granumat_convection
 ARITHMETIC_A_ROUND = 192                              # 2 * 12 * LANES, see granumat_arithmetic
 Scheme = tuple[int, int, float]
 """How to integrate increments: numbers of method and spin as in granumat_methods, tolerance of the embedded pair."""

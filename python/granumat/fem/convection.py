@@ -211,6 +211,7 @@ class Convection:
         cells, points = self._body.cells, 2**self._body.d
         here, first, second = np.zeros((3, self._all_cells, points, core.CONVECTED_NUMBERS))    # before a substep, its stages
         here[:cells, :, :values.shape[1]] = values.reshape(cells, points, -1)[:, self._point_at]
+        ranges = np.empty((cells, core.CONVECTION_RANGES))
         for stage in (here, first, second):
             self._fill_inflows(stage, entering)
         at_start, at_end = self._body.at_cells(start), self._body.at_cells(end)
@@ -218,7 +219,8 @@ class Convection:
         for step in range(steps):
             x, x_new = (at_start + part / steps * (at_end - at_start) for part in (step, step + 1))
             self._fill_copies(here, cross)
-            given = x, x_new, self._neighbour, self._opposite, self._wall, core.convection_ranges(x, self._neighbour, here), here
+            core.convection_ranges(x, self._neighbour, here, ranges)
+            given = x, x_new, self._neighbour, self._opposite, self._wall, ranges, here
             core.convection_stage(0.0, self._fabric_limit, *given, here, first[:cells])
             self._fill_copies(first, cross)
             core.convection_stage(0.5, self._fabric_limit, *given, first, second[:cells])
