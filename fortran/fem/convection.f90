@@ -161,7 +161,8 @@ contains
     orientation = sign(1.0_dp, sum(mass_start))      ! of the map from the reference cell
     mass_start = orientation * mass_start / 2**d
     mass_end = orientation * mass_end / 2**d
-    do k = 1, 3
+    sweep = 0
+    do k = 1, d
       through = orientation * swept_through(k, w, J, J_new) / 2**d
       sweep(k, :) = through
     end do
@@ -217,7 +218,7 @@ contains
     real(dp), intent(in) :: fabric_limit
     real(dp), intent(inout) :: amount(COLUMNS, POINTS)
     real(dp) :: trace(COLUMNS, POINTS), flux(COLUMNS), net
-    real(dp), dimension(SCALARS:COLUMNS) :: low, high, own_mean, mean
+    real(dp), dimension(COLUMNS) :: low, high, own_mean, mean
     integer :: q, k, far
 
     k = (face + 1) / 2
@@ -230,9 +231,9 @@ contains
       if (neighbour == 0) cycle
       if (sweep(q) > 0) then
         trace(:, q) = extrapolated(stage(:, opposite(1, q), neighbour), stage(:, opposite(2, q), neighbour))
-        trace(SCALARS:, q) = confined(trace(SCALARS:, q), low, high, own_mean)
+        trace(SCALARS:, q) = confined(trace(SCALARS:, q), low(SCALARS:), high(SCALARS:), own_mean(SCALARS:))
       else
-        trace(SCALARS:, q) = confined(trace(SCALARS:, q), low, high, mean)
+        trace(SCALARS:, q) = confined(trace(SCALARS:, q), low(SCALARS:), high(SCALARS:), mean(SCALARS:))
       end if
       call confine_fabric(stage(:, :, cell), stage(:, :, neighbour), count, fabric_limit, trace(:, q))
     end do
@@ -370,24 +371,22 @@ contains
     end do
   end function fabric_factor
 
-  !> Of the scalars of two cells: the interval that holds them all, and the mean of each cell.
+  !> Of the columns of two cells: the interval that holds them all, and the mean of each cell.
   pure subroutine bounds_of(first, second, count, low, high, mean_of_first, mean_of_second)
     real(dp), intent(in), contiguous :: first(:, :), second(:, :)        ! (COLUMNS, points)
     integer, intent(in) :: count
-    real(dp), intent(out), dimension(SCALARS:COLUMNS) :: low, high, mean_of_first, mean_of_second
-    integer :: q, c
+    real(dp), intent(out), dimension(COLUMNS) :: low, high, mean_of_first, mean_of_second
+    integer :: q
 
-    low = first(SCALARS:, 1)
+    low = first(:, 1)
     high = low
     mean_of_first = 0
     mean_of_second = 0
-    do q = 1, count
-      do c = SCALARS, COLUMNS
-        low(c) = min(low(c), first(c, q), second(c, q))
-        high(c) = max(high(c), first(c, q), second(c, q))
-        mean_of_first(c) = mean_of_first(c) + first(c, q)
-        mean_of_second(c) = mean_of_second(c) + second(c, q)
-      end do
+    do q = 1, count                                  ! all columns: whole vectors
+      low = min(low, first(:, q), second(:, q))
+      high = max(high, first(:, q), second(:, q))
+      mean_of_first = mean_of_first + first(:, q)
+      mean_of_second = mean_of_second + second(:, q)
     end do
     mean_of_first = mean_of_first / count
     mean_of_second = mean_of_second / count
