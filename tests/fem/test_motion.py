@@ -59,8 +59,11 @@ def test_uniform_shear_goes_on_as_at_a_point(length):
 
 @pytest.mark.parametrize("motion", ["fixed", "lagrangian"])
 def test_the_origin_of_what_is_sheared_uniformly_is_where_it_was(motion, tmp_path):
-    problem = layer(motion, origin=True)
-    fem.run(problem, 1, 0.05)
+    problem, again = (layer(motion, origin=True) for _ in range(2))
+    fem.run(problem, 1, 0.05, observers=[fem.Checkpoint(tmp_path / "checkpoint.npz", every=7)])
+    fem.resume(tmp_path / "checkpoint.npz", again)
+    fem.run(again, 1, 0.05)
+    assert again.origin == pytest.approx(problem.origin, abs=1e-12)
     expected = problem.point_positions() - [1, 0] * problem.point_positions()[:, 1:]
     assert problem.origin == pytest.approx(expected, abs=1e-7)
     fields = fem.cell_fields(problem, ["origin", "origin_y"])
@@ -282,6 +285,7 @@ gravity = [0, -0.02]
 kind = "boundary"
 [output]
 every = 7
+fields = ["p", "origin"]
 probes = { middle = [0.5, 0.25] }
 checkpoint = { every = 3 }
 """
@@ -311,8 +315,10 @@ def test_a_flow_that_is_killed_ends_as_if_it_had_not_been(tmp_path):
             for column in whole.dtype.names:                     # next to no shear is left there, whose direction has round-off
                 tolerance = 1e-6 if column in ("eta", "dilatancy", "eta_t") else 1e-10
                 assert again[column] == pytest.approx(whole[column], rel=0, abs=tolerance * abs(whole[column]).max() + 1e-14)
-        shown = [[record["p"] for *_, record in records(tmp_path / place / "fields.xdmf")] for place in ("whole", f"on{ranks}")]
-        assert shown[1] == pytest.approx(np.array(shown[0]), rel=1e-10)
+        for field in ("p", "origin"):
+            shown = [[record[field] for *_, record in records(tmp_path / place / "fields.xdmf")]
+                     for place in ("whole", f"on{ranks}")]
+            assert shown[1] == pytest.approx(np.array(shown[0]), rel=1e-10, abs=1e-12)
 
 
 def test_mistakes_of_a_scene_are_named_together(tmp_path):
