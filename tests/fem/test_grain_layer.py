@@ -29,3 +29,14 @@ def test_the_column_shears_as_the_steady_equation_says_and_its_length_is_found_a
     after = bands.Reversal.of(table)
     assert after.path[-1] == pytest.approx(grain_layer.SHORT["back"], rel=0.02)
     assert np.diff(after.tau).max() < 0                                 # the stress turns
+
+
+@pytest.mark.release_only
+@pytest.mark.parametrize("start, forth, slip, gradient", [(0.04, 0.04, 0.04, 0.5), (3.1, 1.9, 0.1, 0.7)])
+def test_no_increment_is_cut_from_rest_nor_where_m_falls_by_decades(monkeypatch, start, forth, slip, gradient):
+    for name, value in {"START": start, "FORTH": forth, "SLIP": slip}.items():
+        monkeypatch.setattr(grain_layer, name, value)
+    material, length = grain_layer.LAWS["mobilised, dem-2026"]
+    table = grain_layer.shear_column(material, length, gradient, rows=80, back=slip)
+    increments = round((start + forth) / slip) + 1
+    assert len(table["step"]) == increments + 2                         # and the starts of the second and the third run

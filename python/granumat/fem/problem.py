@@ -29,6 +29,8 @@ from .trial import Snapshot, Trial
 
 SHORTEST_STEP = 1 / 16              # fraction of Newton's correction at which the line search ends
 SUFFICIENT_DECREASE = 1e-4          # fraction of the residual that a full step must take off it, a shorter one in proportion
+LEAST_NONLOCAL_SHARE = 0.1          # of m that a step leaves: m is positive, and falls by orders of magnitude beside zones of shear
+NONLOCAL_SLACK = 0.1                # residual up to which a step may lead that decreases that of the forces only
 PREDICTOR_TOLERANCE = 1e-3          # of tolerances.force: a first guess with a residual below needs no correction
 DISPLACEMENT_ROUND_OFF = 1e-12      # over the size of what displacements are added to, or corrections
 STRESS_FLOOR = 1e-5                 # in k/d: residuals are relative to at least this stress times size^(d - 1)
@@ -426,6 +428,8 @@ class Problem:
         """The longest of the steps 1, 1/2, ... of a correction that decreases the residual, or the best of them.
 
         While prescribed displacements change, any step that can be evaluated will do: the residual before belongs to other ones.
+        With a length a step will do too that decreases the residual of the forces alone. That of m is then the square of what
+        abs(D) changed by, and the next correction takes it away.
 
         Returns
         -------
@@ -437,10 +441,13 @@ class Problem:
         residuals_compare = self.body.largest(prescribed) <= DISPLACEMENT_ROUND_OFF * self.body.largest(correction)
         step, best = 1.0, None
         while step >= SHORTEST_STEP:
-            candidate, tangent = self.evaluate(trial.unknowns + step * correction, trial.duration, with_tangent and step == 1)
-            if not candidate.failure and (not residuals_compare
-                                          or candidate.residual <= (1 - SUFFICIENT_DECREASE * step) * trial.residual
-                                          or candidate.residual <= self.tolerances.force):
+            unknowns = trial.unknowns + step * correction
+            unknowns[:, self.d:] = np.maximum(unknowns[:, self.d:], LEAST_NONLOCAL_SHARE * trial.unknowns[:, self.d:])
+            candidate, tangent = self.evaluate(unknowns, trial.duration, with_tangent and step == 1)
+            left = 1 - SUFFICIENT_DECREASE * step
+            decreases = candidate.residual <= max(left * trial.residual, self.tolerances.force)
+            decreases_forces = candidate.residual <= NONLOCAL_SLACK and candidate.force_residual <= left * trial.force_residual
+            if not candidate.failure and (not residuals_compare or decreases or decreases_forces):
                 return candidate, tangent, step
             if best is None or candidate.residual < best[0].residual:
                 best = candidate, tangent, step
@@ -487,12 +494,13 @@ class Problem:
         internal = self.body.internal_forces(x + du, volumes, stress)
         forces = internal - self.loads.dead(t) - self.loads.pressures(x + du, t)
         scale = max(np.sqrt(self.comm.allreduce((internal**2).sum())), STRESS_FLOOR * self.body.size**(self.d - 1))
-        residual = self.system.norm(self._rows(forces)) / scale
+        residual = force_residual = self.system.norm(self._rows(forces)) / scale
         nonlocal_residuals = np.empty(0)
         if self.nonlocal_field is not None:
             nonlocal_residuals, scale = self.nonlocal_field.residuals(self.displacement, m, gradients)
             residual = float(np.hypot(residual, self.system.norm(self._rows(np.zeros_like(forces), nonlocal_residuals)) / scale))
-        return Trial(t, duration, u, m, states, gradients, volumes, stress, forces, nonlocal_residuals, residual), tangent
+        return Trial(t, duration, u, m, states, gradients, volumes, stress, forces, nonlocal_residuals, residual,
+                     force_residual), tangent
 
     def stiffness(self, trial: Trial, tangent: tuple[np.ndarray, ...] | None = None) -> np.ndarray:
         """Derivatives of a trial's forces, and with a length of the scaled equations of m, by its unknowns, along the nodes' axes.

@@ -37,6 +37,8 @@ class Trial:
     residual : float
         Norm of the residual forces, relative to that of the internal forces; with a length the root of the sum of its square and
         that of the equations of m, relative to the integrals of abs(D).
+    force_residual : float
+        The part of the forces in it.
     residuals : tuple of float
         Those of the Newton iterations that have led here, the first guess's first. Those of a second guess follow, where the first
         one has led nowhere.
@@ -55,6 +57,7 @@ class Trial:
     forces: np.ndarray = field(default_factory=_no_values)
     nonlocal_residuals: np.ndarray = field(default_factory=_no_values)
     residual: float = np.inf
+    force_residual: float = np.inf
     residuals: tuple[float, ...] = ()
     failure: str = ""
 
