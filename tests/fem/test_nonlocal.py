@@ -261,9 +261,10 @@ def test_torque_and_width_of_the_ring_settle_at_those_of_the_radial_solution():
 
 @pytest.mark.release_only
 def test_where_the_last_increment_misleads_after_a_reversal_the_guess_from_rest_needs_no_cut():
-    critical = Material(0.5, closure="critical", elastic_strain=0.01)
-    watch, _ = turned(16, 1, 0.12, 0.016, 0.008, length=0.05, part=1 / 48, material=critical, start=critical.isotropic(0.6))
-    assert len(watch.residuals) == 17 and len(watch.residuals[15]) < 10
+    sand = Material(0.5)
+    watch, _ = turned(16, 1, 0.12, 0.016, 0.008, length=0.05, part=1 / 48, material=sand, start=sand.isotropic(0.6, pressure=0.01))
+    assert len(watch.residuals) == 17
+    assert len(watch.residuals[15]) > fem.Tolerances().iterations + 1           # those of the other guess among them
 
 
 def sheared_box(cells, noise, until, **more):
