@@ -1,7 +1,7 @@
 #!/bin/sh
 # Tests the debug build in what depends on the build, then the release build in everything; arguments go to the last pytest.
-# ./tests/run.sh --quick: the release build only, without slow tests. There are as many processes as processors, each of which takes
-# a file of tests at a time.
+# ./tests/run.sh --quick: the release build only, without slow tests. There are as many processes as processors, at most 8, each of
+# which takes a file of tests at a time.
 set -eu
 cd "$(dirname "$0")/.."
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
@@ -11,7 +11,7 @@ export MORE_PACKAGES="python3-pytest-xdist python3-gmsh python3-sphinx python3-m
 tests_of() {
   build=$1
   shift
-  PYTHONPATH=$PWD/build/$build/python /usr/bin/python3 -m pytest -p no:cacheprovider -n auto --dist loadfile "$@"
+  PYTHONPATH=$PWD/build/$build/python /usr/bin/python3 -m pytest -p no:cacheprovider -n auto --maxprocesses 8 --dist loadfile "$@"
 }
 
 if [ "${1-}" = --quick ]; then
