@@ -300,6 +300,19 @@ def test_errors_of_the_packing_grow_without_a_length_and_not_with_one():
     assert sheared_box(16, 1e-6, 0.6) > 10
 
 
+@pytest.mark.parametrize("low", [0.0, 1e-5])
+def test_a_nonlocal_strain_that_drops_at_a_wall_is_the_given_one_at_once(low):
+    mesh, sides = fem.meshes.box(MPI.COMM_WORLD, (1, 1), (4, 8)), [lambda x, y=y: np.isclose(x[1], y) for y in (0, 1)]
+    problem = fem.Problem(mesh, SAND, SAND.isotropic(0.6, pressure=0.01), [
+        fem.Displacement(sides[0]), fem.Displacement(sides[1], lambda x, t: [t, 0]),
+        fem.NonlocalStrain(sides[0], lambda t: 0.5 if t < 0.025 else low),
+        fem.Periodic(lambda x: np.isclose(x[0], 1), lambda x: x - np.array([1.0, 0]))], length=0.2)
+    found, wall = [], np.isclose(problem.positions[:, 1], 0)
+    fem.run(problem, 0.05, 0.01, observers=[lambda problem: found.append(problem.last.m[wall]) if problem.last else None])
+    given = np.repeat([0.005, 0.01 * low], [2, 3])
+    assert np.array(found).T == pytest.approx(np.tile(given, (wall.sum(), 1)), rel=1e-9, abs=1e-15)
+
+
 def test_a_pause_takes_no_iteration_and_has_no_nonlocal_strain():
     problem, _ = homogeneous_shear.box(2, "quadrilateral", 1, 8, True, length=0.3)
     fem.run(problem, 8, 1.0)

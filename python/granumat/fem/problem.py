@@ -442,7 +442,8 @@ class Problem:
         step, best = 1.0, None
         while step >= SHORTEST_STEP:
             unknowns = trial.unknowns + step * correction
-            unknowns[:, self.d:] = np.maximum(unknowns[:, self.d:], LEAST_NONLOCAL_SHARE * trial.unknowns[:, self.d:])
+            least = np.where(self.numbering.is_prescribed, 0, LEAST_NONLOCAL_SHARE * trial.unknowns)
+            unknowns[:, self.d:] = np.maximum(unknowns, least)[:, self.d:]
             candidate, tangent = self.evaluate(unknowns, trial.duration, with_tangent and step == 1)
             left = 1 - SUFFICIENT_DECREASE * step
             decreases = candidate.residual <= max(left * trial.residual, self.tolerances.force)
