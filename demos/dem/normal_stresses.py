@@ -30,7 +30,7 @@ def trend(steady, name, mu, phi):
 
 def draw(steady):
     """The figure."""
-    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
     axes = figure.add_subplot(xscale="log", xlabel="inertial number $I$", ylabel="normal stress difference over $p$")
     for mu, colour in COLOURS.items():
         rows = steady["mu"] == mu
@@ -39,7 +39,7 @@ def draw(steady):
                           markersize=5, markerfacecolor="none", elinewidth=0.8,
                           label=rf"$N_{name[1]}/p$, $\mu$ = {mu:g}" if rows.any() else None)
     axes.axhline(0, color="0.25", linewidth=0.8)
-    axes.legend(fontsize=7.5, ncol=2, loc="center right", bbox_to_anchor=(1, 0.42))
+    axes.legend(fontsize=7.5, ncol=4, loc="upper center", bbox_to_anchor=(0.5, -0.16), frameon=False)
     axes.grid(linewidth=0.3)
     return figure
 
