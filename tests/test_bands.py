@@ -106,7 +106,7 @@ def test_collected_histories_and_profiles_agree():
         assert profile["sigma_zz"].mean() == pytest.approx(0.0025 if "gradient0/" in str(table) else 0.005, rel=0.02)
 
 
-SPREADS = {"full": 1.13, "kinematic": 1.08, "full dem-2026": 1.16, "mobilised dem-2026": 1.15}       # of lengths, largest over least
+SPREADS = {"full": 1.13, "kinematic": 1.08, "full dem-2026": 1.16, "mobilised dem-2026": 1.15}        # largest over least length
 
 
 def test_the_lengths_of_three_gradients_differ_by_what_the_page_says_and_less_than_would_refute_a_length(frictions):
